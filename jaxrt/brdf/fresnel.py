@@ -1,0 +1,34 @@
+"""Fresnel reflectance of unpolarised light."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax.numpy as jnp
+
+from ..vector import Spectrum, safe_sqrt
+
+
+def conductor(eta: Spectrum, k: Spectrum, cos_theta: Any) -> Spectrum:
+    """Reflectance of a metal of index η + ik (relative to the outside) at incidence cosθ > 0 (Lagarde 2013).
+
+    eta 0 and k 1 reflect exactly 1. The root of a difference is taken in the form that does not cancel,
+    which also keeps the derivative with respect to η finite at η = 0.
+    """
+    c2 = cos_theta * cos_theta
+    s2 = jnp.maximum(1.0 - c2, 0.0)
+
+    def one(n: Any, kk: Any) -> Any:
+        t0 = n * n - kk * kk - s2
+        a2b2 = safe_sqrt(t0 * t0 + 4.0 * n * n * kk * kk)
+        negative = t0 < 0
+        down = n * kk * safe_sqrt(2.0 / jnp.where(negative, a2b2 - t0, 1.0))
+        a = jnp.where(negative, down, safe_sqrt(0.5 * (a2b2 + jnp.where(negative, 0.0, t0))))
+        t1, t2 = a2b2 + c2, 2.0 * a * cos_theta
+        t3, t4 = c2 * a2b2 + s2 * s2, t2 * s2
+        sum1, sum2 = t1 + t2, t3 + t4
+        rs = jnp.where(sum1 > 0, (t1 - t2) / jnp.where(sum1 > 0, sum1, 1.0), 1.0)
+        rp = jnp.where(sum2 > 0, (t3 - t4) / jnp.where(sum2 > 0, sum2, 1.0), 1.0)
+        return 0.5 * rs * (1.0 + rp)
+
+    return eta.map(one, k)

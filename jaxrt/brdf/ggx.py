@@ -1,0 +1,69 @@
+"""GGX microfacet reflection of a rough conductor, anisotropic, single scattering.
+
+f_r = F D G₂ / (4 cosθ_i cosθ_o) with the height-correlated Smith G₂ (Heitz 2014); directions come from the
+visible normals of the upper hemisphere only (bounded VNDF: Eto and Tokuyoshi 2023).
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from ..sampling.warp import circle
+from ..vector import Spectrum, Vec3, dot, normalise, safe_sqrt
+from .fresnel import conductor
+from .lobe import Lobe
+
+
+def _distribution(m: Any, h: Vec3) -> Any:
+    """D(h): density of normals per projected area; the stretched square sums small terms only."""
+    ax, ay = m.alpha
+    x, y = h.x / ax, h.y / ay
+    q = x * x + y * y + h.z * h.z
+    return 1.0 / (np.pi * ax * ay * q * q)
+
+
+def _lambda(m: Any, w: Vec3) -> Any:
+    """Length of the stretched direction: cosθ √(1 + α² tan²θ) = cosθ (1 + 2Λ)."""
+    ax, ay = m.alpha
+    return safe_sqrt((ax * w.x) ** 2 + (ay * w.y) ** 2 + w.z * w.z)
+
+
+def eval(m: Any, wi: Vec3, wo: Vec3) -> Spectrum:
+    h = normalise(wi + wo)
+    cos_d = jnp.clip(dot(h, wo), 0.0, 1.0)
+    # G₂/(4 cosθ_i cosθ_o) without forming the quotient of small numbers
+    g = 0.5 / jnp.maximum(wi.z * _lambda(m, wo) + wo.z * _lambda(m, wi), 1e-30)
+    return m.reflectance * conductor(m.eta, m.k, cos_d) * (_distribution(m, h) * g)
+
+
+def _bound(m: Any, wo: Vec3) -> Any:
+    """k of the paper: the cap of reflected directions above the surface reaches down to −k z."""
+    ax, ay = m.alpha
+    a = jnp.clip(jnp.minimum(ax, ay), 0.0, 1.0)
+    s = 1.0 + safe_sqrt(wo.x * wo.x + wo.y * wo.y)
+    a2, s2 = a * a, s * s
+    return (1.0 - a2) * s2 / (s2 + a2 * wo.z * wo.z)
+
+
+def sample(m: Any, wo: Vec3, u: tuple[Any, Any]) -> Vec3:
+    ax, ay = m.alpha
+    stretched = normalise(Vec3(ax * wo.x, ay * wo.y, wo.z))
+    c, sn = circle(u[0])
+    b = _bound(m, wo) * stretched.z
+    z = (1.0 - u[1]) * (1.0 + b) - b
+    s = safe_sqrt(1.0 - z * z)
+    cap = Vec3(s * c, s * sn, z) + stretched
+    h = normalise(Vec3(ax * cap.x, ay * cap.y, cap.z))
+    return normalise(h * (2.0 * dot(wo, h)) - wo)
+
+
+def pdf(m: Any, wi: Vec3, wo: Vec3) -> Any:
+    h = normalise(wi + wo)
+    t = _lambda(m, wo)
+    return _distribution(m, h) / jnp.maximum(2.0 * (_bound(m, wo) * wo.z + t), 1e-30)
+
+
+LOBE = Lobe("ggx", 2, ("alpha", "reflectance", "eta", "k"), sample, eval, pdf)

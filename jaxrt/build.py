@@ -1,0 +1,265 @@
+"""From parts to a scene: packs shapes, materials, emitters and sensors into padded tables (numpy, host)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from .brdf import LOBES, MaterialColumns
+from .parts import (
+    Conductor,
+    Cube,
+    Cylinder,
+    Diffuse,
+    Disk,
+    Enclosure,
+    Integrator,
+    Mesh,
+    Rectangle,
+    SceneError,
+    Sensor,
+    Shape,
+    Sphere,
+    TwoSided,
+)
+from .scene import KINDS, Scene, SensorStructure, Slot, Structure
+
+_SQUARE = [[-1, -1, 0, 2, 0, 0, 0, 2, 0]]  # corner, first edge, second edge
+_CUBE = [
+    [-1, -1, 1, 2, 0, 0, 0, 2, 0],
+    [1, -1, -1, -2, 0, 0, 0, 2, 0],
+    [1, -1, 1, 0, 0, -2, 0, 2, 0],
+    [-1, -1, -1, 0, 0, 2, 0, 2, 0],
+    [-1, 1, 1, 2, 0, 0, 0, 0, -2],
+    [-1, -1, -1, 2, 0, 0, 0, 0, 2],
+]
+_DISK = [[0, 0, 0, 1, 0, 0, 0, 1, 0]]
+
+
+def bucket(n: int) -> int:
+    """The next of 0, 1, 2, 4, 8, 12, 16, 24, 32, 48, ...: sizes that scenes share."""
+    if n <= 2:
+        return n
+    size = 4
+    while size < n:
+        size = size * 3 // 2 if size & (size - 1) == 0 and size >= 8 else (1 << (size.bit_length()))
+    return size
+
+
+def _padded(a: np.ndarray, n: int, fill: Any = 0) -> np.ndarray:
+    out = np.full((n, *a.shape[1:]), fill, a.dtype)
+    out[: len(a)] = a
+    return out
+
+
+def _spread(value: np.ndarray, channels: int, name: str) -> np.ndarray:
+    if value.size not in (1, channels):
+        raise SceneError(f"{name}: has {value.size} channels where the scene has {channels}; give 1 or {channels}")
+    return np.broadcast_to(value, (channels,))
+
+
+class _Names:
+    """Unique names and the slots behind them."""
+
+    def __init__(self) -> None:
+        self.slots: dict[str, Slot] = {}
+        self.taken: set[str] = set()
+
+    def part(self, wanted: str) -> str:
+        name, k = wanted, 1
+        while name in self.taken:
+            name, k = f"{wanted}_{k}", k + 1
+        self.taken.add(name)
+        return name
+
+    def add(self, name: str, leaf: str, row: int | tuple[int, int], columns=None, one: bool = False) -> None:
+        self.slots[name] = Slot(leaf, row, columns, one)
+
+
+def _patches(shape: Shape) -> tuple[str, np.ndarray]:
+    if isinstance(shape, Rectangle):
+        return "parallelogram", np.array(_SQUARE, float)
+    if isinstance(shape, Cube):
+        return "parallelogram", np.array(_CUBE, float)
+    if isinstance(shape, Disk):
+        return "disk", np.array(_DISK, float)
+    if isinstance(shape, Sphere):
+        return "sphere", np.array([[*shape.center, shape.radius, 0, 0, 0, 0, 0]], float)
+    if isinstance(shape, Cylinder):
+        return "cylinder", np.array([[*shape.p0, *shape.p1, shape.radius, 0, 0]], float)
+    raise SceneError(f"{shape.id or shape}: is not a shape that jaxrt knows")
+
+
+def _material_rows(shapes: Sequence[Shape], channels: int, names: _Names) -> tuple[np.ndarray, dict[int, int]]:
+    """Rows of the material table; row 0 is black. One row for each distinct BSDF object."""
+    columns = MaterialColumns(channels)
+    rows, index = [columns.row(LOBES["diffuse"].number)], {}
+    for shape in shapes:
+        outer = shape.bsdf
+        if id(outer) in index:
+            continue
+        inner = outer.bsdf if isinstance(outer, TwoSided) else outer
+        name = names.part(inner.id or outer.id or (f"{shape.id}.bsdf" if shape.id else "bsdf"))
+        row = len(rows)
+        index[id(outer)] = row
+        sides = isinstance(outer, TwoSided)
+        slot = lambda key, field, one=False: names.add(f"{name}.{key}", "materials", row, columns[field], one)
+        if isinstance(inner, Diffuse):
+            spread = _spread(inner.reflectance, channels, f"{name}.reflectance")
+            rows.append(columns.row(LOBES["diffuse"].number, sides, reflectance=spread))
+            slot("reflectance", "reflectance")
+        elif isinstance(inner, Conductor):
+            rough = bool(inner.alpha.max() >= 1e-3)  # below, float32 cannot resolve the lobe (oracles, GGX furnace)
+            lobe = LOBES["ggx" if rough else "mirror"].number
+            values = {k: _spread(getattr(inner, k), channels, f"{name}.{k}") for k in ("eta", "k")}
+            values["reflectance"] = _spread(inner.specular_reflectance, channels, f"{name}.specular_reflectance")
+            rows.append(columns.row(lobe, sides, alpha=np.maximum(inner.alpha, 1e-3) if rough else 0.0, **values))
+            slot("specular_reflectance", "reflectance")
+            slot("eta", "eta")
+            slot("k", "k")
+            if rough:
+                slot("alpha", "alpha", one=bool(inner.alpha[0] == inner.alpha[1]))
+        else:
+            raise SceneError(f"{name}: {type(inner).__name__} is not a reflectance that jaxrt knows")
+    return np.array(rows), index
+
+
+def build(
+    shapes: Sequence[Shape],
+    *,
+    sensors: Sequence[Sensor] = (),
+    enclosure: Enclosure | None = None,
+    integrator: Integrator | None = None,
+    channels: int | None = None,
+    source: str = "",
+) -> Scene:
+    """A scene from parts.
+
+    `channels`: length of a spectrum; by default the longest that a part has. Raises `SceneError`
+    for a scene without shapes and for spectra of other lengths.
+    """
+    if not shapes:
+        raise SceneError(f"{source or 'scene'}: has no shapes; add at least one")
+    enclosure, integrator = enclosure or Enclosure(), integrator or Integrator()
+    if channels is None:
+        channels = max([enclosure.radiance.size] + [v.size for s in shapes for v in _spectra(s)])
+    names = _Names()
+    ids = [names.part(s.id or type(s).__name__.lower()) for s in shapes]
+    materials, material_of = _material_rows(shapes, channels, names)
+
+    radiance, emitter_of = [np.zeros(channels), _spread(enclosure.radiance, channels, "enclosure.radiance")], {}
+    names.add(f"{names.part(enclosure.id or 'enclosure')}.radiance", "radiance", 1)
+    by_kind: dict[str, list[tuple[int, np.ndarray]]] = {k: [] for k in KINDS}
+    vertices, normals, uvs, vertex_of, first = [], [], [], [], 0
+    finishes: list[tuple[int, int]] = [(0, 1)]  # row 0: the enclosure, black and luminous
+    shape_finish = []
+    for k, shape in enumerate(shapes):
+        emitter = 0
+        if shape.emission is not None:
+            wanted = shape.emission_id or f"{ids[k]}.emitter"
+            if wanted not in emitter_of:
+                emitter_of[wanted] = len(radiance)
+                names.add(f"{names.part(wanted)}.radiance", "radiance", len(radiance))
+                radiance.append(_spread(shape.emission, channels, f"{wanted}.radiance"))
+            emitter = emitter_of[wanted]
+        finish = (material_of[id(shape.bsdf)], emitter)
+        if finish not in finishes:
+            finishes.append(finish)
+        shape_finish.append(finishes.index(finish))
+        if isinstance(shape, Mesh):
+            n = len(shape.vertices)
+            by_kind["triangle"].append((k, shape.faces + first))
+            vertices.append(shape.vertices)
+            normals.append(np.zeros((n, 3)) if shape.normals is None else shape.normals)
+            uvs.append(np.zeros((n, 2)) if shape.uvs is None else shape.uvs)
+            names.add(f"{ids[k]}.vertices", "vertices", (first, first + n))
+            if shape.normals is not None:
+                names.add(f"{ids[k]}.normals", "normals", (first, first + n))
+            vertex_of.append(k)
+            first += n
+        else:
+            kind, rows = _patches(shape)
+            by_kind[kind].append((k, rows))
+        names.add(f"{ids[k]}.to_world", "to_world", k)
+
+    counts = [sum(len(rows) for _, rows in by_kind[kind]) for kind in KINDS]
+    blocks = [bucket(n) for n in counts]
+    face_shape, patches, layout, lights = [], [], [], []
+    for kind, count, block in zip(KINDS, counts, blocks, strict=True):
+        owner, at, start = [], sum(blocks[: KINDS.index(kind)]), 0
+        for k, rows in by_kind[kind]:
+            owner.append(np.full(len(rows), k))
+            layout.append((ids[k], kind, at + start, at + start + len(rows)))
+            if shapes[k].emission is not None:
+                lights.extend(range(at + start, at + start + len(rows)))
+            if kind in ("sphere", "cylinder"):
+                row = at + start - blocks[0]
+                for key, columns in _LOCAL[kind].items():
+                    names.add(f"{ids[k]}.{key}", "patches", row, columns, columns[1] - columns[0] == 1)
+            start += len(rows)
+        face_shape.append(_padded(np.concatenate([np.zeros(0, int), *owner]), block))
+        if kind != "triangle":
+            patches.append(_padded(np.concatenate([np.zeros((0, 9)), *(r for _, r in by_kind[kind])]), block))
+
+    sensor_ids = [names.part(s.id or "sensor") for s in sensors]
+    for k, name in enumerate(sensor_ids):
+        names.add(f"{name}.to_world", "sensor_to_world", k)
+        for column, key in enumerate(("fov", "near_clip", "far_clip", "aperture_radius", "focus_distance")):
+            names.add(f"{name}.{key}", "lens", k, (column, column + 1), True)
+
+    real = np.float64 if jax.config.jax_enable_x64 else np.float32  # pyright: ignore[reportAttributeAccessIssue]
+    f = lambda a, shape, n, fill=0.0: jnp.asarray(_padded(np.array(a, real).reshape(-1, *shape), n, fill))
+    i = lambda a, n, fill=0: jnp.asarray(_padded(np.array(a, np.int32), n, fill))
+    join = lambda parts, width: np.concatenate([np.zeros((0, width)), *parts])
+    rows, pad = bucket(len(shapes)), bucket(first)
+    to_world = f([s.to_world for s in shapes], (4, 4), rows)
+    return Scene(
+        vertices=f(join(vertices, 3), (3,), pad),
+        normals=f(join(normals, 3), (3,), pad),
+        uvs=f(join(uvs, 2), (2,), pad),
+        triangles=i(np.concatenate([np.zeros((0, 3), int), *(r for _, r in by_kind["triangle"])]), blocks[0]),
+        patches=f(join(patches, 9), (9,), sum(blocks[1:])),
+        face_shape=jnp.asarray(np.concatenate(face_shape).astype(np.int32)),
+        counts=jnp.asarray(np.array(counts, np.int32)),
+        to_world=to_world,
+        flip=f([-1.0 if s.flip_normals else 1.0 for s in shapes], (), rows, 1.0),
+        shape_finish=i(shape_finish, rows),
+        finishes=i(finishes, bucket(len(finishes))),
+        materials=f(materials, (materials.shape[1],), bucket(len(materials))),
+        radiance=f(radiance, (channels,), bucket(len(radiance))),
+        lights=i(lights, bucket(len(lights)), -1),
+        sensor_to_world=f([s.to_world for s in sensors], (4, 4), len(sensors)),
+        lens=f([(s.fov, s.near, s.far, s.aperture_radius, s.focus_distance) for s in sensors], (5,), len(sensors)),
+        blocks=tuple(blocks),
+        structure=Structure(
+            slots=tuple(names.slots.items()),
+            shapes=tuple(layout),
+            sensors=tuple(
+                SensorStructure(
+                    s.kind,
+                    s.fov_axis,
+                    (s.film.width, s.film.height, s.film.filter, float(s.film.radius or 0.5), float(s.film.stddev)),
+                )
+                for s in sensors
+            ),
+            sensor_ids=tuple(sensor_ids),
+            integrator=(integrator.max_depth, integrator.rr_depth, integrator.hide_emitters, integrator.spp),
+            source=source,
+        ),
+    )
+
+
+_LOCAL = {
+    "sphere": {"center": (0, 3), "radius": (3, 4)},
+    "cylinder": {"p0": (0, 3), "p1": (3, 6), "radius": (6, 7)},
+}
+
+
+def _spectra(shape: Shape) -> list[np.ndarray]:
+    bsdf: Any = shape.bsdf.bsdf if isinstance(shape.bsdf, TwoSided) else shape.bsdf
+    found = [getattr(bsdf, k) for k in ("reflectance", "eta", "k", "specular_reflectance") if hasattr(bsdf, k)]
+    return found + ([shape.emission] if shape.emission is not None else [])

@@ -1,0 +1,187 @@
+"""The plan: which effects a scene calls for. Static and hashable; what it leaves out is not compiled.
+
+By default a plan looks at structure only, so that any value may move inside it. `free=` names the
+parameters that will move; everything else is then specialised on its value, and `Plan.assumes` lists
+what was taken for granted. `jaxrt.render` specialises on everything.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import fnmatch
+from collections.abc import Callable, Iterable
+from typing import Any
+
+import numpy as np
+
+from .brdf import LOBES, MaterialColumns
+from .parts import SceneError
+from .scene import KINDS, Scene, SensorStructure
+
+
+@dataclasses.dataclass(frozen=True)
+class Plan:
+    """What is compiled. Equal plans share programs; reasons and assumptions do not count for equality."""
+
+    channels: int
+    kinds: tuple[str, ...]
+    lobes: tuple[str, ...]
+    fields: tuple[str, ...]
+    twosided: str  # none, some or all
+    anisotropic: bool
+    smooth_normals: bool
+    light_kinds: tuple[str, ...]  # kinds of faces that emit
+    many_lights: bool
+    enclosure: bool
+    bounces: bool
+    sensors: tuple[SensorStructure, ...]
+    backend: str
+    out_channels: int
+    reasons: tuple[tuple[str, bool, str], ...] = dataclasses.field(default=(), compare=False)
+    assumes: tuple[tuple[str, str], ...] = dataclasses.field(default=(), compare=False)
+
+    @property
+    def effects(self) -> frozenset[str]:
+        """Names of the effects that are in."""
+        return frozenset(name for name, present, _ in self.reasons if present)
+
+    @property
+    def lights(self) -> bool:
+        return bool(self.light_kinds)
+
+    def __str__(self) -> str:
+        width = max(len(name) for name, _, _ in self.reasons)
+        lines = [f"{name:<{width}}  {'in ' if on else 'out'}  {why}" for name, on, why in self.reasons]
+        return "\n".join(lines + [f"assumes {name}: {what}" for name, what in self.assumes])
+
+
+class _View:
+    """The scene as host arrays, with the question which values a plan may rely on."""
+
+    def __init__(self, scene: Scene, free: Any):
+        self.scene = scene
+        self.array = {k: np.asarray(getattr(scene, k)) for k in ("materials", "radiance", "finishes", "shape_finish")}
+        self.counts, self.lights = np.asarray(scene.counts), np.asarray(scene.lights)
+        self.face_shape, self.normals = np.asarray(scene.face_shape), np.asarray(scene.normals)
+        self.columns = MaterialColumns(scene.channels)
+        names = [name for name, _ in scene.structure.slots]
+        patterns = () if free is None else (free,) if isinstance(free, str) else tuple(free)
+        for p in patterns:
+            if not fnmatch.filter(names, p):
+                scene.structure.slot(p)  # raises with the closest names
+        self.free = set(names) if free == () else {n for p in patterns for n in fnmatch.filter(names, p)}
+        used = self.array["finishes"][np.unique(self.array["shape_finish"])]
+        self.material_rows = sorted({int(r) for r in used[:, 0]} - {0})
+        self.radiance_rows = sorted({int(r) for r in used[:, 1]} | {1})
+        self.assumes: list[tuple[str, str]] = []
+
+    def field(self, name: str) -> np.ndarray:
+        return self.array["materials"][self.material_rows, slice(*self.columns[name])]
+
+    def fixed(self, leaf: str, row: int | None = None) -> bool:
+        """Whether no free parameter lives in a table (or in one of its rows)."""
+        slots = self.scene.structure.slots
+        return not any(n in self.free and s.leaf == leaf and row in (None, s.row) for n, s in slots)
+
+
+def _grey(view: _View) -> bool:
+    if view.scene.channels == 1:
+        return True
+    if not (view.fixed("materials") and view.fixed("radiance")):
+        return False
+    spectra = [view.field(f) for f in ("reflectance", "eta", "k")] + [view.array["radiance"]]
+    same = all(bool((s == s[:, :1]).all()) for s in spectra)
+    if same:
+        view.assumes.append(("*", "every spectrum is grey"))
+    return same
+
+
+def plan(scene: Scene, free: str | Iterable[str] | None = (), **overrides: bool) -> Plan:
+    """The plan of a scene, made on the host from concrete values.
+
+    `free`: names or patterns of parameters that will move; () means all of them (the plan looks at
+    structure only), None means none. `overrides` force an effect in or out by name, as
+    `enclosure=False`. Raises `SceneError` for unknown names.
+    """
+    view = _View(scene, free)
+    structure = scene.structure
+    kinds = tuple(k for k, n in zip(KINDS, view.counts, strict=True) if n)
+    numbers = set(view.field("lobe")[:, 0].astype(int))
+    lobes = tuple(name for name, lobe in LOBES.items() if lobe.number in numbers) or ("diffuse",)
+    sided = view.field("twosided")[:, 0] > 0.5
+    twosided = "all" if sided.size and sided.all() else "some" if sided.any() else "none"
+    alpha = view.field("alpha")[view.field("lobe")[:, 0].astype(int) == LOBES["ggx"].number]
+    anisotropic = bool((alpha[:, 0] != alpha[:, 1]).any())
+    grey = _grey(view)
+
+    emitting = {}
+    shape_emitter = view.array["finishes"][view.array["shape_finish"], 1]
+    dark = {r for r in view.radiance_rows if view.fixed("radiance", r) and not view.array["radiance"][r].any()}
+    for face in view.lights[view.lights >= 0]:
+        row = int(shape_emitter[view.face_shape[face]])
+        if row not in dark:
+            emitting.setdefault(KINDS[np.searchsorted(np.cumsum(scene.blocks), face, side="right")], []).append(face)
+    if any(r > 1 for r in dark):
+        view.assumes.append(("*.radiance", "emitters of radiance 0 stay dark"))
+    albedo = view.field("reflectance")
+    bounces = bool(albedo.any()) or not view.fixed("materials")
+    if not bounces:
+        view.assumes.append(("*.reflectance", "every reflectance stays 0"))
+    smooth = bool(np.abs(view.normals).any())
+    enclosure = 1 not in dark
+    chosen: dict[str, Any] = {
+        "smooth_normals": smooth,
+        "enclosure": enclosure,
+        "bounces": bounces,
+        "anisotropic": anisotropic,
+        "area_light": bool(emitting),
+        "rgb": not grey,
+    }
+    for name, value in overrides.items():
+        if name not in chosen:
+            raise SceneError(f"{name}: no effect of that name to force; there are {', '.join(sorted(chosen))}")
+        chosen[name] = bool(value)
+
+    n_lights = sum(map(len, emitting.values()))
+    say: Callable[[bool, str, str], str] = lambda on, yes, no: yes if on else no
+    films = sorted({s.film[2] for s in structure.sensors})
+    reasons = [
+        ("rgb", chosen["rgb"], say(chosen["rgb"], f"{scene.channels} channels", "grey: one channel")),
+        *((k, k in kinds, f"{view.counts[KINDS.index(k)]} faces") for k in KINDS),
+        *((f"lobe:{name}", name in lobes, say(name in lobes, "a material uses it", "no material")) for name in LOBES),
+        ("twosided", twosided != "none", f"{twosided} of the materials"),
+        ("anisotropic", chosen["anisotropic"], say(anisotropic, "alpha_u differs from alpha_v", "no such material")),
+        ("smooth_normals", chosen["smooth_normals"], say(smooth, "a mesh has vertex normals", "all faces are flat")),
+        ("area_light", chosen["area_light"], f"{n_lights} emitting faces"),
+        ("light_selection", n_lights > 1, say(n_lights > 1, "by power", "at most one emitting face")),
+        ("enclosure", chosen["enclosure"], say(enclosure, "constant radiance", "black")),
+        ("bounces", chosen["bounces"], say(bounces, "surfaces reflect", "every reflectance is 0")),
+        *(
+            (f"sensor:{k}", any(s.kind == k for s in structure.sensors), "")
+            for k in ("perspective", "thinlens", "orthographic")
+        ),
+        *((f"film:{k}", k in films, "") for k in ("box", "tent", "gaussian")),
+    ]
+    wanted = {f for name in lobes for f in LOBES[name].fields}
+    if len(lobes) > 1:
+        wanted.add("lobe")
+    if twosided == "some":
+        wanted.add("twosided")
+    return Plan(
+        channels=scene.channels if chosen["rgb"] else 1,
+        kinds=kinds,
+        lobes=lobes,
+        fields=tuple(f for f in view.columns.at if f in wanted),
+        twosided=twosided,
+        anisotropic=chosen["anisotropic"],
+        smooth_normals=chosen["smooth_normals"],
+        light_kinds=tuple(k for k in KINDS if k in emitting) if chosen["area_light"] else (),
+        many_lights=n_lights > 1,
+        enclosure=chosen["enclosure"],
+        bounces=chosen["bounces"],
+        sensors=structure.sensors,
+        backend="dense",
+        out_channels=scene.channels,
+        reasons=tuple(reasons),
+        assumes=tuple(view.assumes),
+    )

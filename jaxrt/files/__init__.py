@@ -1,0 +1,40 @@
+"""Scene files in, pictures out: the impure end of jaxrt."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from ..parts import Description, SceneError
+
+
+def load_description(path: str | Path, **defaults: str | float) -> Description:
+    """The scene in a Mitsuba 3 .xml, .glb, .gltf, .obj or .ply file, as parts that can be rendered.
+
+    `defaults` fill the `$names` of an XML file. A scene without a camera gets a default view, and,
+    unless it is XML (which says all it means), a scene without light gets some; the notes name both.
+    Raises `SceneError`, one line with the file and the remedy, whatever is wrong with the file.
+    """
+    suffix = Path(path).suffix.lower()
+    if suffix not in (".xml", ".glb", ".gltf", ".obj", ".ply"):
+        raise SceneError(f"{path}: {suffix or 'no suffix'} is not a scene format; give .xml, .glb, .gltf, .obj or .ply")
+    if not os.path.isfile(path):
+        raise SceneError(f"{path}: no such file; check the path")
+    if defaults and suffix != ".xml":
+        name = next(iter(defaults))
+        raise SceneError(f"{path}: {name!r} has no meaning in a {suffix} file; only .xml files take $names")
+
+    # Imported here: each only costs its start-up time when it is needed.
+    from .view import complete
+
+    if suffix == ".xml":
+        from . import mitsuba
+
+        return complete(mitsuba.load(Path(path), defaults), light=False)
+    if suffix in (".glb", ".gltf"):
+        from .gltf import load_gltf
+
+        return complete(load_gltf(path))
+    from .mesh import load_obj, load_ply
+
+    return complete(load_obj(path) if suffix == ".obj" else load_ply(path), orient=True)

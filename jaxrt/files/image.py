@@ -1,0 +1,164 @@
+"""Pictures: OpenEXR with standard errors and attributes, and PNG for the eye."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import secrets
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import NoReturn
+
+import numpy as np
+
+from ..parts import SceneError
+
+_LARGEST = 1 << 15  # pixels to a side, as `Film` has it; a damaged header may claim anything
+
+
+@contextlib.contextmanager
+def _replacing(path: str | Path) -> Iterator[str]:
+    """A temporary name beside `path`, which takes its place at the end: never a half-written file.
+
+    Mistakes of the user (no such folder, no permission, no space) become `SceneError`.
+    """
+    target = Path(path)
+    temporary = target.with_name(f".{target.name[:64]}.{secrets.token_hex(4)}.part")
+    try:
+        if target.exists() and not target.is_file():  # a device must not be replaced
+            raise SceneError(f"{path}: is not a file; give the name of one")
+        if not target.parent.is_dir():
+            raise SceneError(f"{path}: the folder {target.parent} does not exist; make it or give another path")
+        temporary.touch()  # says what the user cannot do more clearly than OpenEXR does
+        yield str(temporary)
+        os.replace(temporary, target)
+    except SceneError:
+        raise
+    except (OSError, RuntimeError, ValueError) as error:  # OpenEXR raises RuntimeError, an odd name ValueError
+        why = getattr(error, "strerror", None) or str(error)
+        raise SceneError(
+            f"{path}: cannot be written ({why}); check permissions and space, or give another path"
+        ) from error
+    finally:
+        with contextlib.suppress(OSError, ValueError):
+            temporary.unlink()
+
+
+def _rgb(a: np.ndarray, name: str) -> np.ndarray:
+    """(H, W, 3) float32; one channel stands for all three."""
+    a = np.asarray(a)
+    if a.ndim != 3 or a.shape[2] not in (1, 3) or 0 in a.shape or max(a.shape) > _LARGEST:
+        raise SceneError(f"{name} has shape {a.shape}; give (H, W, 1) or (H, W, 3), with sides up to {_LARGEST}")
+    with np.errstate(over="ignore"):
+        return np.broadcast_to(a, (*a.shape[:2], 3)).astype(np.float32)
+
+
+def write_exr(
+    path: str | Path,
+    image: np.ndarray,
+    stderr: np.ndarray | None = None,
+    attributes: Mapping[str, str | float | int] | None = None,
+) -> None:
+    """Write linear radiance (H, W, 1 or 3) as float32 channels R, G, B; its standard error as stderr.R/G/B.
+
+    One channel is written three times, so that every viewer shows it. `attributes` go into the header;
+    whole numbers beyond 32 bits as text, for EXR has no others. Raises `SceneError` for another shape,
+    an attribute that EXR cannot hold, or a path that cannot be written.
+    """
+    import OpenEXR
+
+    layers = {"": _rgb(image, "image")}
+    if stderr is not None:
+        layers["stderr."] = _rgb(stderr, "stderr")
+        if layers["stderr."].shape != layers[""].shape:
+            raise SceneError(f"stderr has shape {np.shape(stderr)}, image {np.shape(image)}; give the same")
+    # OpenEXR writes an array that is not contiguous scrambled, without a word
+    channels = {f"{k}{c}": np.ascontiguousarray(a[..., j]) for k, a in layers.items() for j, c in enumerate("RGB")}
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    own = {*header, "channels", "dataWindow", "displayWindow", "lineOrder", "pixelAspectRatio", "version"}
+    for key, value in (attributes or {}).items():
+        value = value.item() if isinstance(value, np.generic) else value
+        if key in own or not key or len(key) > 255 or not key.isascii() or not isinstance(value, str | float | int):
+            raise SceneError(
+                f"attribute {key!r}: {str(value)[:40]!r} cannot go into an EXR header; rename it or give text"
+            )
+        header[key] = str(value) if isinstance(value, int) and not -(1 << 31) <= value < 1 << 31 else value
+    with _replacing(path) as temporary, OpenEXR.File(header, channels) as file:
+        file.write(temporary)
+
+
+def read_exr(path: str | Path) -> tuple[np.ndarray, np.ndarray | None, dict[str, str | float | int]]:
+    """(image (H, W, 3) float32, its standard error or None, text and number attributes) of an EXR file.
+
+    Takes R, G, B or Y of the first part. Raises `SceneError` for a file that is missing, damaged, or
+    holds no such picture.
+    """
+    import OpenEXR
+
+    def refuse(problem: str) -> NoReturn:
+        raise SceneError(f"{path}: {problem}")
+
+    try:
+        if not Path(path).is_file():
+            refuse("no such file; check the path")
+        with Path(path).open("rb") as start:
+            if start.read(4) != b"\x76\x2f\x31\x01":
+                refuse("is not an EXR file; check the path")
+        with OpenEXR.File(str(path), header_only=True) as file:
+            low, high = (np.asarray(v, np.int64) for v in file.header()["dataWindow"])
+            width, height = (int(n) + 1 for n in high - low)
+            # Even black compresses to some 100 pixels a byte. Checked before OpenEXR reserves what is claimed.
+            if (
+                not (0 < width <= _LARGEST and 0 < height <= _LARGEST)
+                or width * height > 4096 * Path(path).stat().st_size
+            ):
+                refuse(f"claims {width} x {height} pixels, which its size cannot hold; it is damaged")
+        with OpenEXR.File(str(path), separate_channels=True) as file:
+            pixels = {name: channel.pixels for name, channel in file.channels().items()}
+            header = dict(file.header())
+    except SceneError:
+        raise
+    except Exception as error:  # OpenEXR and its binding raise RuntimeError, ValueError, TypeError and others
+        raise SceneError(f"{path}: cannot be read as EXR ({str(error)[:80]}); it is damaged, make it again") from error
+
+    def layer(prefix: str) -> np.ndarray | None:
+        names = [f"{prefix}{c}" for c in "RGB"]
+        names = names if all(n in pixels for n in names) else [f"{prefix}Y"] * 3
+        if names[0] not in pixels:
+            return None
+        planes = [np.asarray(pixels[n]) for n in names]
+        if any(a.shape != planes[0].shape or a.ndim != 2 or a.dtype.kind not in "fu" for a in planes):
+            refuse("has subsampled or deep channels; convert it to plain ones")
+        return np.stack(planes, -1).astype(np.float32)
+
+    image = layer("")
+    if image is None:
+        refuse(f"has the channels {', '.join(pixels)[:80] or 'none'}, but not R, G, B or Y; convert it")
+    return image, layer("stderr."), {k: v for k, v in header.items() if isinstance(v, str | float | int)}
+
+
+def to_srgb(image: np.ndarray, exposure: float = 0.0) -> np.ndarray:
+    """uint8 (H, W, 3): 2^exposure times linear radiance, by the sRGB curve (IEC 61966-2-1), for display.
+
+    What is too bright, infinity too, is cut at white; negative values are black; a pixel with a NaN is
+    magenta, so that nobody takes it for an answer.
+    """
+    if not np.isfinite(exposure):
+        raise SceneError(f"exposure is {exposure}; give a finite number of stops")
+    rgb = _rgb(image, "image").astype(np.float64)
+    bad = np.isnan(rgb).any(-1)
+    with np.errstate(over="ignore", invalid="ignore"):  # 0 · inf at an absurd exposure
+        x = np.clip(np.nan_to_num(rgb * np.exp2(np.float64(exposure)), nan=0.0), 0.0, 1.0)
+    x = np.where(x <= 0.0031308, 12.92 * x, 1.055 * x ** (1 / 2.4) - 0.055)
+    out = np.floor(255 * x + 0.5).astype(np.uint8)
+    out[bad] = (255, 0, 255)
+    return out
+
+
+def write_png(path: str | Path, image: np.ndarray, exposure: float = 0.0) -> None:
+    """Write `to_srgb` of linear radiance (H, W, 1 or 3) as PNG. Raises `SceneError` as `write_exr`."""
+    import PIL.Image
+
+    picture = PIL.Image.fromarray(to_srgb(image, exposure))
+    with _replacing(path) as temporary:
+        picture.save(temporary, format="PNG")

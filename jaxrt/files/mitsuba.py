@@ -1,0 +1,101 @@
+"""Mitsuba 3 XML scenes as parts, so that the same file gives the same picture here and there."""
+
+from __future__ import annotations
+
+import pathlib
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from .. import parts
+from . import mitsuba_xml
+from .mitsuba_context import Context
+from .mitsuba_materials import bsdf, color
+from .mitsuba_nodes import OBJECTS
+from .mitsuba_sensors import integrator, sensor
+from .mitsuba_shapes import shape
+from .mitsuba_xml import Document, Element
+
+
+def load(path: pathlib.Path, defaults: Mapping[str, str | float | int]) -> parts.Description:
+    """The scene in a Mitsuba 3 XML file, on the host, with numpy only.
+
+    defaults: values for the file's `$names`; they win over its `<default>`s. Colours come out as linear
+    sRGB, or as one number where the file gives a grey. `notes` says, with file and line, what has no
+    effect here. A scene may have no sensor; it has shapes.
+
+    Raises `SceneError`, one line with file, element and remedy, for a file that is missing, malformed or
+    refers to nothing, for what is not supported, and for a default that the file does not use.
+    """
+    # numbers beyond float64 are found by the checks on finite results
+    with np.errstate(all="ignore"):
+        return _describe(mitsuba_xml.read(pathlib.Path(path), defaults))
+
+
+def _describe(document: Document) -> parts.Description:
+    ctx, root = Context(document), document.root
+    objects: dict[str, list[Element]] = {
+        tag: list(dict.fromkeys(ctx.children(root, tag))) for tag in sorted(OBJECTS | {"spectrum"})
+    }
+    shapes = [shape(ctx, element, f"shape_{i}") for i, element in enumerate(objects["shape"])]
+    if not shapes:
+        root.fail("has no shapes; add a <shape>")
+    sensors = _sensors(ctx, objects["sensor"])
+    fields: dict[str, Any] = {"spp": sensors[0][1]} if sensors else {}
+    if len(objects["integrator"]) > 1:
+        objects["integrator"][1].fail("is a second integrator; keep one")
+    for element in objects["integrator"]:
+        fields |= integrator(ctx, element)
+    enclosure = _enclosure(ctx, objects["emitter"])
+    _note_unused(ctx, objects)
+    ctx.finish(root)
+    return parts.Description(
+        shapes=shapes,
+        sensors=[made for made, _ in sensors],
+        enclosure=enclosure,
+        integrator=parts.Integrator(**fields),
+        notes=ctx.notes,
+    )
+
+
+def _sensors(ctx: Context, elements: list[Element]) -> list[tuple[parts.Sensor, int]]:
+    sensors, nameless = [], 0
+    for element in elements:
+        sensors.append(sensor(ctx, element, f"sensor_{nameless}" if nameless else "sensor"))
+        nameless += not element.id
+    if len({samples for _, samples in sensors}) > 1:
+        ctx.notes.append(f"{elements[0].node.label}: its sample_count is taken for all sensors, whose own ones differ")
+    return sensors
+
+
+def _enclosure(ctx: Context, elements: list[Element]) -> parts.Enclosure | None:
+    found = None
+    for element in elements:
+        if element.plugin == "area":
+            continue  # it belongs to the shape that references it
+        if element.plugin != "constant":
+            element.fail("is not supported; use constant, or area in a shape")
+        if found is not None:
+            element.fail("is a second environment; keep one")
+        ctx.transform(element)  # Mitsuba takes it, and it moves nothing
+        radiance = color(ctx, element, "radiance", 1.0, "radiance")
+        ctx.finish(element, {"sampling_weight": "is a matter of sampling, and has no effect here"})
+        found = ctx.part(element, parts.Enclosure, radiance=radiance, id=ctx.name(element, "enclosure"))
+    return found
+
+
+def _note_unused(ctx: Context, objects: dict[str, list[Element]]) -> None:
+    """Whatever does nothing at the top of a scene unless something refers to it. Good BSDFs are left unsaid."""
+    for tag, elements in objects.items():
+        for element in elements:
+            if tag in ("shape", "sensor", "integrator") or element.plugin == "constant" or element in ctx.referenced:
+                continue
+            try:
+                reason = "stands alone"
+                if tag == "bsdf":
+                    bsdf(ctx, element, "bsdf")
+                    continue
+            except parts.SceneError as problem:
+                reason = str(problem).split(">: ", 1)[-1]
+            ctx.notes.append(f"{element.node.label}: has no effect, for nothing refers to it ({reason})")

@@ -1,0 +1,146 @@
+"""Colours, BSDFs and area emitters of a Mitsuba scene as parts."""
+
+from __future__ import annotations
+
+import difflib
+from typing import Any
+
+import numpy as np
+
+from .. import parts
+from . import spectra
+from .conductors import CONDUCTORS
+from .mitsuba_context import Context
+from .mitsuba_xml import Element
+
+
+def color(ctx: Context, element: Element, name: str, default: Any, role: spectra.Role) -> Any:
+    """A colour parameter: one number for a grey, else linear sRGB (3,). `default` where it is not given.
+
+    A <float> is grey in any role; a <spectrum> of one number is grey as a reflectance, but as a radiance
+    it is the colour of the equal-energy spectrum (Mitsuba 3, rgb variants).
+    """
+    nested = ctx.named(element, name)
+    if nested is not None:
+        return _spectrum_plugin(ctx, nested)
+    given = ctx.get(element, name, "rgb", "float", "integer", "spectrum")
+    if given is None:
+        return default
+    if given.kind != "spectrum":
+        return given.content
+    if isinstance(given.content, float):
+        return given.content * spectra.EQUAL_ENERGY if role == "radiance" else given.content
+    wavelengths, values = given.content
+    rgb, clipped = spectra.to_rgb(wavelengths, values, role)
+    if clipped:
+        ctx.notes.append(f"{given.node.label}: is outside the sRGB gamut, and is clipped to it")
+    return rgb
+
+
+def _spectrum_plugin(ctx: Context, element: Element) -> Any:
+    """`d65` (white of luminance 1, times scale and color) and `uniform`, which are grey in Mitsuba's rgb variants."""
+    if element.tag not in ("spectrum", "texture") or element.plugin not in ("d65", "uniform"):
+        element.fail("is not supported as a colour; give an <rgb> or a <spectrum value>")
+    if element.plugin == "uniform":
+        result: Any = ctx.number(element, "value")
+    else:
+        given = ctx.get(element, "color", "rgb")
+        result = ctx.number(element, "scale", 1.0) * (1.0 if given is None else given.content)
+    ctx.finish(element)
+    return result
+
+
+def bsdf(ctx: Context, element: Element, place: str) -> parts.Bsdf:
+    """One part for an element, however often it is referenced. `place`: its name if it has no id."""
+
+    def build() -> parts.Bsdf:
+        if element.plugin not in _BSDFS:
+            element.fail(f"is not supported; use {', '.join(_BSDFS)}")
+        name = ctx.name(element, place)
+        fields = _BSDFS[element.plugin][1](ctx, element, name)
+        ctx.finish(element, {"sample_visible": ""})
+        return ctx.part(element, _BSDFS[element.plugin][0], id=name, **fields)
+
+    return ctx.once(element, build)
+
+
+def _diffuse(ctx: Context, element: Element, name: str) -> dict[str, Any]:
+    return {"reflectance": color(ctx, element, "reflectance", 0.5, "reflectance")}
+
+
+def _conductor(ctx: Context, element: Element, name: str) -> dict[str, Any]:
+    material = ctx.string(element, "material")
+    if not material:
+        eta, k = (color(ctx, element, key, CONDUCTORS["none"][i], "ior") for i, key in enumerate(("eta", "k")))
+    else:
+        if any(key in element.values for key in ("eta", "k")):
+            element.fail("has a material and also eta or k; give only one kind")
+        if material not in CONDUCTORS:
+            close = [known for known in CONDUCTORS if known.lower() == material.lower()]
+            close = close or difflib.get_close_matches(material, CONDUCTORS, 3, 0.4)
+            advice = f"did you mean {' or '.join(close)}?" if close else "give eta and k instead"
+            element.fail(f"material {material[:80]!r} is not known; {advice}")
+        eta, k = CONDUCTORS[material]
+    return {
+        "eta": eta,
+        "k": k,
+        "specular_reflectance": color(ctx, element, "specular_reflectance", 1.0, "reflectance"),
+    }
+
+
+def _rough_conductor(ctx: Context, element: Element, name: str) -> dict[str, Any]:
+    distribution = ctx.string(element, "distribution", "beckmann")  # Mitsuba's default
+    if distribution.lower() != "ggx":
+        given = "" if "distribution" in element.values else " (Mitsuba's default)"
+        element.fail(
+            f"distribution {distribution[:80]!r}{given} is not supported; "
+            'give <string name="distribution" value="ggx"/>'
+        )
+    both = [key in element.values for key in ("alpha_u", "alpha_v")]
+    if any(both) and (not all(both) or "alpha" in element.values):
+        element.fail("has only part of its roughness; give alpha, or both alpha_u and alpha_v")
+    alpha = [_roughness(ctx, element, key) for key in (("alpha_u", "alpha_v") if any(both) else ("alpha",))]
+    return {"alpha": alpha, **_conductor(ctx, element, name)}
+
+
+def _roughness(ctx: Context, element: Element, name: str) -> float:
+    alpha = np.atleast_1d(color(ctx, element, name, 0.1, "ior"))
+    if (alpha != alpha[0]).any():
+        element.fail(f"{name} is a colour; give a <float>")
+    # Mitsuba keeps rough conductors from becoming mirrors; a wrong number is left for the part to refuse
+    return max(float(alpha[0]), 1e-4) if alpha[0] >= 0 else float(alpha[0])
+
+
+def _two_sided(ctx: Context, element: Element, name: str) -> dict[str, Any]:
+    inner = ctx.children(element, "bsdf")
+    if not inner:
+        element.fail("has no BSDF inside; put one into it")
+    if len(inner) > 1:
+        element.fail("has two BSDFs, which is not supported; give one for both sides")
+    if inner[0].plugin == "twosided":
+        inner[0].fail("stands inside another twosided; remove one of the two")
+    return {"bsdf": bsdf(ctx, inner[0], f"{name}.bsdf")}
+
+
+_BSDFS: dict[str, tuple[Any, Any]] = {
+    "diffuse": (parts.Diffuse, _diffuse),
+    "conductor": (parts.Conductor, _conductor),
+    "roughconductor": (parts.Conductor, _rough_conductor),
+    "twosided": (parts.TwoSided, _two_sided),
+}
+
+
+def area_emission(ctx: Context, element: Element, place: str) -> tuple[Any, str]:
+    """Radiance of an area emitter and its name: the same two for every shape that references it."""
+
+    def build() -> tuple[Any, str]:
+        if element.plugin != "area":
+            element.fail("cannot stand in a shape; use an area emitter there")
+        if "to_world" in element.values:
+            element.fail("has a to_world, but moves with its shape; remove it")
+        name = ctx.name(element, place)
+        radiance = color(ctx, element, "radiance", 1.0, "radiance")
+        ctx.finish(element, {"sampling_weight": "is a matter of sampling, and has no effect here"})
+        return ctx.part(element, lambda: parts.spectrum(radiance, f"{name}.radiance")), name
+
+    return ctx.once(element, build)

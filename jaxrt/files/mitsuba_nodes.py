@@ -1,0 +1,136 @@
+"""The XML of a Mitsuba scene file as a tree of nodes which know their file and line. Entities are refused."""
+
+from __future__ import annotations
+
+import dataclasses
+import pathlib
+import re
+import xml.sax
+import xml.sax.handler
+from collections.abc import Iterable
+from typing import Any, NoReturn
+
+import defusedxml
+import defusedxml.sax
+
+from ..parts import SceneError
+
+OBJECTS = frozenset(
+    "bsdf emitter field film integrator medium phase rfilter sampler scene sensor shape texture volume".split()
+)
+VALUES = frozenset("boolean integer float string point vector spectrum rgb transform".split())
+OPERATIONS = frozenset("translate rotate scale lookat matrix".split())
+
+DEEPEST = 64
+"""Most elements inside one another: enough for any scene, and little enough for Python's stack."""
+
+
+@dataclasses.dataclass(eq=False)
+class Node:
+    """An XML element as it stands in a file."""
+
+    tag: str
+    attributes: dict[str, str]
+    file: pathlib.Path
+    line: int
+    children: list[Node] = dataclasses.field(default_factory=list)
+    text: bool = False
+
+    @property
+    def label(self) -> str:
+        keys = ("type", "id") if self.tag in OBJECTS else ("name",) if self.tag in VALUES else ()
+        words = [self.tag, *(f'{key}="{self.attributes[key][:80]}"' for key in keys if self.attributes.get(key))]
+        return f"{self.file}:{self.line}: <{' '.join(words)}>"
+
+    def fail(self, problem: object) -> NoReturn:
+        raise error(f"{self.label}: {problem}")
+
+    def attribute(self, name: str) -> str:
+        if name not in self.attributes:
+            self.fail(f'has no {name}; add {name}="..."')
+        return self.attributes[name]
+
+    def only(self, allowed: Iterable[str], required: Iterable[str] = ()) -> None:
+        """Fail for an attribute that is not allowed, or required and missing; Mitsuba is as strict."""
+        for name in required:
+            self.attribute(name)
+        wrong = [name for name in self.attributes if name not in (*allowed, *required)]
+        if wrong:
+            self.fail(f"has no attribute {wrong[0][:80]!r}; it has {', '.join((*required, *allowed))}")
+
+
+def error(message: str) -> SceneError:
+    """A `SceneError` of one line, whatever characters a name in it has."""
+    return SceneError("".join(c if c.isprintable() else "?" for c in message))
+
+
+def parse(path: pathlib.Path) -> Node:
+    """The elements of one file, whose format is checked to be Mitsuba 3's."""
+    handler = _Handler(path)
+    parser = defusedxml.sax.make_parser()
+    parser.setContentHandler(handler)
+    try:
+        with path.open("rb") as file:
+            parser.parse(file)
+    except defusedxml.EntitiesForbidden:
+        raise error(f"{path}: defines an XML entity, which is refused; write its text out") from None
+    except defusedxml.DefusedXmlException:
+        raise error(f"{path}: refers to a file by XML, which is refused; use <include>") from None
+    except xml.sax.SAXParseException as problem:
+        raise error(f"{path}:{problem.getLineNumber()}: not well-formed XML ({problem.getMessage()})") from None
+    except OSError as problem:
+        raise error(f"{path}: cannot be read ({problem.strerror}); check its permissions") from None
+    except (ValueError, LookupError) as problem:
+        if isinstance(problem, SceneError):
+            raise
+        raise error(f"{path}: is in an encoding that is not supported; save it as UTF-8") from None
+    root = handler.root
+    assert root is not None  # expat refuses a file without an element
+    _check_version(root)
+    if root.tag not in OBJECTS:
+        root.fail("is the outermost element; put it into a <scene>")
+    root.only(("id", "name"), ("version", "type") if root.tag != "scene" else ("version",))
+    return root
+
+
+class _Handler(xml.sax.handler.ContentHandler):
+    """Builds the tree of nodes with the line each starts in."""
+
+    def __init__(self, path: pathlib.Path):
+        super().__init__()
+        self.path = path
+        self.root: Node | None = None
+        self.stack: list[Node] = []
+        self.locator: Any = None
+
+    def setDocumentLocator(self, locator: Any) -> None:
+        self.locator = locator
+
+    def startElement(self, name: str, attrs: Any) -> None:
+        node = Node(name[:80], dict(attrs.items()), self.path, self.locator.getLineNumber())
+        if len(self.stack) > DEEPEST:
+            node.fail(f"is nested deeper than {DEEPEST} elements; make the scene flatter")
+        if self.stack:
+            self.stack[-1].children.append(node)
+        else:
+            self.root = node
+        self.stack.append(node)
+
+    def endElement(self, name: str) -> None:
+        self.stack.pop()
+
+    def characters(self, content: str) -> None:
+        if content.strip():
+            self.stack[-1].text = True
+
+
+def _check_version(root: Node) -> None:
+    text = root.attribute("version")
+    match = re.fullmatch(r"\s*(\d{1,4})\.(\d{1,4})\.(\d{1,4})\s*", text, re.ASCII)
+    if not match:
+        root.fail('has a version that is not three numbers; write version="3.0.0"')
+    if int(match[1]) < 2:
+        root.fail(
+            f"is in the old format {match[0].strip()}; upgrade it to 3.0.0: "
+            'parameters are in snake_case (toWorld is to_world, lookAt is lookat), then write version="3.0.0"'
+        )

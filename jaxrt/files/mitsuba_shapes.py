@@ -1,0 +1,139 @@
+"""Shapes of a Mitsuba scene as parts, with the normals that Mitsuba gives them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from .. import parts
+from .mitsuba_context import Context
+from .mitsuba_materials import area_emission, bsdf
+from .mitsuba_xml import Element
+
+
+def shape(ctx: Context, element: Element, place: str) -> parts.Shape:
+    """The part of a <shape>. `place`: its name if it has no id."""
+    if element.plugin not in _SHAPES:
+        element.fail(f"is not supported; use {', '.join(_SHAPES)}")
+    name = ctx.name(element, place)
+    emitter, reflector = ctx.child(element, "emitter"), ctx.child(element, "bsdf")
+    emission, emission_id = area_emission(ctx, emitter, f"{name}.emitter") if emitter else (None, "")
+    # without a BSDF, Mitsuba's emitters are black and other shapes are diffuse
+    default = parts.Diffuse(0.5 if emission is None else 0.0, id=f"{name}.bsdf")
+    fields: dict[str, Any] = {
+        "id": name,
+        "to_world": ctx.transform(element),
+        "flip_normals": ctx.boolean(element, "flip_normals", False),
+        "emission": emission,
+        "emission_id": emission_id,
+        "bsdf": bsdf(ctx, reflector, f"{name}.bsdf") if reflector else default,
+    }
+    make, more = _SHAPES[element.plugin]
+    ctx.part(element, parts.Shape, **fields)  # checked before it is computed with
+    fields |= more(ctx, element, fields) if more else {}
+    ctx.finish(element, {"silhouette_sampling_weight": "is a matter of sampling, and has no effect here"})
+    return ctx.part(element, make, **fields)
+
+
+def _flat(ctx: Context, element: Element, fields: dict[str, Any]) -> dict[str, Any]:
+    ctx.boolean(element, "face_normals", False)  # they are flat anyway
+    return {}
+
+
+def _sphere(ctx: Context, element: Element, fields: dict[str, Any]) -> dict[str, Any]:
+    # a mirror turns a sphere inside out in Mitsuba, and no other shape of closed form
+    mirrored = bool(np.linalg.det(fields["to_world"][:3, :3]) < 0)
+    return {
+        "center": ctx.point(element, "center", (0.0, 0.0, 0.0)),
+        "radius": ctx.number(element, "radius", 1.0),
+        "flip_normals": fields["flip_normals"] != mirrored,
+    }
+
+
+def _cylinder(ctx: Context, element: Element, fields: dict[str, Any]) -> dict[str, Any]:
+    p0, p1 = ctx.point(element, "p0", (0.0, 0.0, 0.0)), ctx.point(element, "p1", (0.0, 0.0, 1.0))
+    radius = ctx.number(element, "radius", 1.0)
+    return {"p0": p0, "p1": p1, "radius": radius, **_straightened(fields["to_world"], p0, p1, radius)}
+
+
+def _straightened(m: np.ndarray, p0: np.ndarray, p1: np.ndarray, radius: float) -> dict[str, Any]:
+    """A cylinder stretched along its axis is a longer one under a rigid motion: that one's fields, if it is so."""
+    s = np.linalg.svd(m[:3, :3], compute_uv=False)
+    length = np.linalg.norm(p1 - p0)
+    if s[0] - s[2] <= 1e-4 * s[0] or not length > 0:
+        return {}
+    axis = (p1 - p0) / length
+    across = np.linalg.svd(axis[None])[2][1:]  # two unit vectors across the axis
+    u, v = across @ m[:3, :3].T
+    w = m[:3, :3] @ axis
+    size, stretch = np.linalg.norm(u), np.linalg.norm(w)
+    skew = max(abs(u @ v) / size**2, abs(u @ w) / (size * stretch), abs(v @ w) / (size * stretch))
+    if abs(np.linalg.norm(v) - size) > 1e-4 * size or skew > 1e-4:
+        return {}  # an elliptic or slanted one, which the part refuses
+    rigid = np.eye(4)
+    rigid[:3, :3] = np.stack([u / size, np.cross(w, u) / (stretch * size), w / stretch], 1)
+    rigid[:3, 3] = m[:3, :3] @ p0 + m[:3, 3]
+    return {"to_world": rigid, "p0": [0.0, 0.0, 0.0], "p1": [0.0, 0.0, stretch * length], "radius": radius * size}
+
+
+def _mesh(ctx: Context, element: Element, fields: dict[str, Any]) -> dict[str, Any]:
+    """Normals as Mitsuba has them: the file's, else smooth ones computed in the world, else (face_normals) none."""
+    from .mesh import read_obj, read_ply, smooth_normals
+
+    path = ctx.file(element)
+    obj = element.plugin == "obj"
+    flip_v = ctx.boolean(element, "flip_tex_coords", obj)
+    try:
+        mesh = read_obj(path, flip_v) if obj else read_ply(path)
+    except parts.SceneError as problem:
+        element.fail(problem)
+    vertices, faces, normals, uvs = mesh.vertices, mesh.faces, mesh.normals, mesh.uvs
+    if not obj and flip_v and uvs is not None:
+        uvs = np.stack([uvs[:, 0], 1 - uvs[:, 1]], 1)
+    linear = fields["to_world"][:3, :3]
+    if ctx.boolean(element, "face_normals", False):
+        normals = None
+    else:
+        world = vertices @ linear.T
+        if normals is None:
+            normals = smooth_normals(world, faces)
+        else:
+            normals = _unit(normals @ np.linalg.inv(linear))
+            faces = _wound(world, faces, normals)
+        # back into the shape's space: a normal's way to the world is the inverse transpose
+        normals = None if _flat_anyway(world, faces, normals) else _unit(normals @ linear)
+    return {"vertices": vertices, "faces": faces, "normals": normals, "uvs": uvs}
+
+
+def _wound(vertices: np.ndarray, faces: np.ndarray, normals: np.ndarray) -> np.ndarray:
+    """Faces wound so that their front is where the vertex normals point, which is what counts in Mitsuba."""
+    opposed = (_crossed(vertices, faces) * normals[faces].sum(1)).sum(1) < 0
+    return np.where(opposed[:, None], faces[:, ::-1], faces)
+
+
+def _flat_anyway(vertices: np.ndarray, faces: np.ndarray, normals: np.ndarray) -> bool:
+    """Whether vertex normals only repeat the faces' (to float32), so that the picture is the same without them."""
+    face = _crossed(vertices, faces)
+    proper = (face != 0).any(1)
+    return bool((abs(normals[faces[proper]] - _unit(face[proper])[:, None]) < 1e-6).all())
+
+
+def _crossed(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    a, b, c = (vertices[faces[:, k]] for k in range(3))
+    return np.cross(b - a, c - a)
+
+
+def _unit(v: np.ndarray) -> np.ndarray:
+    return v / np.linalg.norm(v, axis=-1, keepdims=True)
+
+
+_SHAPES: dict[str, tuple[Any, Any]] = {
+    "rectangle": (parts.Rectangle, _flat),
+    "cube": (parts.Cube, _flat),
+    "disk": (parts.Disk, None),
+    "sphere": (parts.Sphere, _sphere),
+    "cylinder": (parts.Cylinder, _cylinder),
+    "obj": (parts.Mesh, _mesh),
+    "ply": (parts.Mesh, _mesh),
+}

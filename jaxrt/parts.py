@@ -1,0 +1,305 @@
+"""The parts a scene is described with: plain numpy on the host, checked when they are made.
+
+A loader turns a file into these parts and `Scene.build` packs them into tables, so a scene made in
+Python and one read from a file take the same way. Angles are in degrees, lengths in metres, colours
+linear. A wrong value raises `SceneError`, which says what is wrong and what to do.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from typing import Any, Literal
+
+import numpy as np
+
+
+class SceneError(ValueError):
+    """A mistake in a scene: one line that names the file (if any), the element and the remedy."""
+
+
+def check(ok: bool, element: str, problem: str) -> None:
+    if not ok:
+        raise SceneError(f"{element}: {problem}" if element else problem)
+
+
+def spectrum(value: Any, element: str, *, most: float = np.inf, least: float = 0.0) -> np.ndarray:
+    """A finite spectrum, shape (1,) or (C,), float64, with every value in [least, most]."""
+    a = np.atleast_1d(np.asarray(value, np.float64))
+    check(a.ndim == 1, element, f"a spectrum is one number or a list of numbers, not shape {a.shape}")
+    check(bool(np.isfinite(a).all()), element, "has a value that is not finite; give finite numbers")
+    check(bool((a >= least).all()), element, f"is {a.min():g}; give a value of at least {least:g}")
+    check(bool((a <= most).all()), element, f"is {a.max():g}; give a value of at most {most:g}")
+    return a
+
+
+def scalar(value: Any, element: str, *, least: float = -np.inf, most: float = np.inf) -> float:
+    a = spectrum(value, element, least=least, most=most)
+    check(a.size == 1, element, "is one number")
+    return float(a[0])
+
+
+def matrix(value: Any, element: str) -> np.ndarray:
+    m = np.asarray(value, np.float64)
+    check(m.shape == (4, 4), element, f"is a 4x4 matrix, not shape {m.shape}")
+    check(bool(np.isfinite(m).all()), element, "has an entry that is not finite")
+    check(bool(np.allclose(m[3], [0, 0, 0, 1])), element, "has a perspective part; give an affine transform")
+    check(abs(float(np.linalg.det(m[:3, :3]))) > 0, element, "is singular; give an invertible transform")
+    return m
+
+
+# ------------------------------------------------------------------------------------ reflectance
+
+
+@dataclasses.dataclass
+class Diffuse:
+    """Lambertian reflection, f_r = reflectance / π (notes, 1.3)."""
+
+    reflectance: Any = 0.5
+    id: str = ""
+
+    def __post_init__(self):
+        self.reflectance = spectrum(self.reflectance, f"{self.id or 'diffuse'}.reflectance", most=1.0)
+
+
+@dataclasses.dataclass
+class Conductor:
+    """A metal: a smooth mirror (alpha 0) or GGX microfacets of roughness `alpha` = (α_u, α_v).
+
+    `eta`, `k`: complex index of refraction, relative to the outside. eta 0 and k 1 reflect everything.
+    """
+
+    alpha: Any = 0.0
+    eta: Any = 0.0
+    k: Any = 1.0
+    specular_reflectance: Any = 1.0
+    id: str = ""
+
+    def __post_init__(self):
+        name = self.id or "conductor"
+        a = spectrum(self.alpha, f"{name}.alpha", most=1.0)
+        check(a.size <= 2, f"{name}.alpha", "is one roughness or two")
+        self.alpha = np.broadcast_to(a, (2,)).copy()
+        self.eta = spectrum(self.eta, f"{name}.eta")
+        self.k = spectrum(self.k, f"{name}.k")
+        self.specular_reflectance = spectrum(self.specular_reflectance, f"{name}.specular_reflectance", most=1.0)
+
+
+@dataclasses.dataclass
+class TwoSided:
+    """The same reflection on both sides of the surface."""
+
+    bsdf: Diffuse | Conductor
+    id: str = ""
+
+
+Bsdf = Diffuse | Conductor | TwoSided
+
+
+# ----------------------------------------------------------------------------------------- shapes
+
+
+@dataclasses.dataclass(kw_only=True)
+class Shape:
+    """What all shapes share. `emission`: radiance of an area light on the front side, or None."""
+
+    id: str = ""
+    to_world: Any = dataclasses.field(default_factory=lambda: np.eye(4))
+    bsdf: Bsdf = dataclasses.field(default_factory=Diffuse)
+    emission: Any = None
+    emission_id: str = ""
+    flip_normals: bool = False
+
+    def __post_init__(self):
+        name = self.id or type(self).__name__.lower()
+        self.to_world = matrix(self.to_world, f"{name}.to_world")
+        if self.emission is not None:
+            self.emission = spectrum(self.emission, f"{self.emission_id or name + '.emitter'}.radiance")
+
+
+@dataclasses.dataclass(kw_only=True)
+class Mesh(Shape):
+    """Triangles. vertices (V, 3) in the shape's own space, faces (F, 3) counter-clockwise from outside.
+
+    `normals` (V, 3): interpolated shading normals, or None for flat faces. `uvs` (V, 2) or None.
+    """
+
+    vertices: Any
+    faces: Any
+    normals: Any = None
+    uvs: Any = None
+
+    def __post_init__(self):
+        super().__post_init__()
+        name = self.id or "mesh"
+        v, f = np.asarray(self.vertices, np.float64), np.asarray(self.faces)
+        check(v.ndim == 2 and v.shape[1] == 3, f"{name}.vertices", f"have shape {v.shape}; give (V, 3)")
+        check(f.ndim == 2 and f.shape[1] == 3, f"{name}.faces", f"have shape {f.shape}; give (F, 3)")
+        check(np.issubdtype(f.dtype, np.integer), f"{name}.faces", "are not integers")
+        check(len(f) > 0, name, "has no faces; remove it or give it some")
+        bad = np.flatnonzero(((f < 0) | (f >= len(v))).any(1))
+        check(bad.size == 0, name, f"face {bad[:1]} names a vertex outside 0..{len(v) - 1}; repair the mesh")
+        used = np.zeros(len(v), bool)
+        used[f] = True
+        bad = np.flatnonzero(~np.isfinite(v).all(1) & used)
+        check(bad.size == 0, name, f"vertex {bad[:1]} is not finite; repair the mesh")
+        self.vertices, self.faces = np.where(np.isfinite(v), v, 0.0), f.astype(np.int32)
+        for key, width in (("normals", 3), ("uvs", 2)):
+            a = getattr(self, key)
+            if a is not None:
+                a = np.asarray(a, np.float64)
+                check(a.shape == (len(v), width), f"{name}.{key}", f"have shape {a.shape}; give {(len(v), width)}")
+                bad = np.flatnonzero(~np.isfinite(a).all(1) & used)
+                check(bad.size == 0, f"{name}.{key}", f"number {bad[:1]} is not finite; repair the mesh")
+                setattr(self, key, np.where(np.isfinite(a), a, 0.0))
+
+
+@dataclasses.dataclass(kw_only=True)
+class Rectangle(Shape):
+    """The square [-1, 1]² in the plane z = 0, facing +z."""
+
+
+@dataclasses.dataclass(kw_only=True)
+class Cube(Shape):
+    """The cube [-1, 1]³, facing outwards."""
+
+
+@dataclasses.dataclass(kw_only=True)
+class Disk(Shape):
+    """The unit disc in the plane z = 0, facing +z."""
+
+
+@dataclasses.dataclass(kw_only=True)
+class Sphere(Shape):
+    """A sphere, facing outwards. `to_world` may rotate, move, mirror and scale evenly."""
+
+    center: Any = (0.0, 0.0, 0.0)
+    radius: float = 1.0
+
+    def __post_init__(self):
+        super().__post_init__()
+        name = self.id or "sphere"
+        c = np.asarray(self.center, np.float64)
+        check(c.shape == (3,) and bool(np.isfinite(c).all()), f"{name}.center", "is not three finite numbers")
+        self.center = c
+        self.radius = scalar(self.radius, f"{name}.radius")
+        check(self.radius > 0, f"{name}.radius", f"is {self.radius:g}; give a positive one")
+        s = np.linalg.svd(self.to_world[:3, :3], compute_uv=False)
+        check(s[0] - s[2] <= 1e-4 * s[0], f"{name}.to_world", "scales unevenly; a sphere needs an even scale")
+
+
+@dataclasses.dataclass(kw_only=True)
+class Cylinder(Shape):
+    """An open cylinder from `p0` to `p1`, facing outwards. `to_world` may not shear or scale unevenly."""
+
+    p0: Any = (0.0, 0.0, 0.0)
+    p1: Any = (0.0, 0.0, 1.0)
+    radius: float = 1.0
+
+    def __post_init__(self):
+        super().__post_init__()
+        name = self.id or "cylinder"
+        self.p0, self.p1 = np.asarray(self.p0, np.float64), np.asarray(self.p1, np.float64)
+        check(self.p0.shape == (3,) and self.p1.shape == (3,), name, "p0 and p1 are not points")
+        self.radius = scalar(self.radius, f"{name}.radius")
+        check(self.radius > 0, f"{name}.radius", f"is {self.radius:g}; give a positive one")
+        check(float(np.linalg.norm(self.p1 - self.p0)) > 0, name, "p0 and p1 coincide; give it a length")
+        s = np.linalg.svd(self.to_world[:3, :3], compute_uv=False)
+        check(s[0] - s[2] <= 1e-4 * s[0], f"{name}.to_world", "scales unevenly; a cylinder needs an even scale")
+
+
+# --------------------------------------------------------------- enclosure, sensors, integrator
+
+
+@dataclasses.dataclass
+class Enclosure:
+    """The surface around the scene on which every ray lands: it emits `radiance` and reflects nothing."""
+
+    radiance: Any = 0.0
+    id: str = ""
+
+    def __post_init__(self):
+        self.radiance = spectrum(self.radiance, f"{self.id or 'enclosure'}.radiance")
+
+
+@dataclasses.dataclass
+class Film:
+    """width x height pixels; `filter` is box, tent or gaussian; `radius` in pixels, `stddev` for gaussian."""
+
+    width: int = 768
+    height: int = 576
+    filter: Literal["box", "tent", "gaussian"] = "gaussian"
+    radius: float | None = None
+    stddev: float = 0.5
+
+    def __post_init__(self):
+        for key in ("width", "height"):
+            n = getattr(self, key)
+            check(int(n) == n and 0 < n <= 1 << 15, f"film.{key}", f"is {n}; give a whole number from 1 to 32768")
+            setattr(self, key, int(n))
+        check(self.filter in ("box", "tent", "gaussian"), "film.filter", f"{self.filter!r} is not box, tent or gaussian")
+        if self.radius is None:
+            self.radius = {"box": 0.5, "tent": 1.0, "gaussian": 4 * self.stddev}[self.filter]
+        check(np.isfinite(self.radius) and self.radius > 0, "film.radius", "is not positive")
+        check(np.isfinite(self.stddev) and self.stddev > 0, "film.stddev", "is not positive")
+
+
+@dataclasses.dataclass
+class Sensor:
+    """A camera at the origin of its own space, looking along +z with +y up (so +x is left in the picture).
+
+    kind: perspective, thinlens or orthographic. `fov` in degrees along `fov_axis` (x, y, smaller,
+    larger or diagonal); `aperture_radius` and `focus_distance` for thinlens. An orthographic camera
+    sees [-1, 1] along x of its own space.
+    """
+
+    kind: Literal["perspective", "thinlens", "orthographic"] = "perspective"
+    to_world: Any = dataclasses.field(default_factory=lambda: np.eye(4))
+    fov: float = 50.0
+    fov_axis: str = "x"
+    near: float = 1e-2
+    far: float = 1e4
+    aperture_radius: float = 0.0
+    focus_distance: float = 1.0
+    film: Film = dataclasses.field(default_factory=Film)
+    id: str = ""
+
+    def __post_init__(self):
+        name = self.id or "sensor"
+        self.to_world = matrix(self.to_world, f"{name}.to_world")
+        check(self.kind in ("perspective", "thinlens", "orthographic"), name, f"unknown kind {self.kind!r}")
+        axes = ("x", "y", "smaller", "larger", "diagonal")
+        check(self.fov_axis in axes, f"{name}.fov_axis", f"{self.fov_axis!r} is not one of {', '.join(axes)}")
+        self.fov = scalar(self.fov, f"{name}.fov")
+        check(0 < self.fov < 180, f"{name}.fov", f"is {self.fov:g}; give an angle between 0 and 180 degrees")
+        self.near, self.far = scalar(self.near, f"{name}.near_clip"), scalar(self.far, f"{name}.far_clip")
+        check(0 < self.near < self.far, f"{name}.near_clip", "is not between 0 and far_clip")
+        self.aperture_radius = scalar(self.aperture_radius, f"{name}.aperture_radius", least=0.0)
+        self.focus_distance = scalar(self.focus_distance, f"{name}.focus_distance", least=0.0)
+        check(self.focus_distance > 0, f"{name}.focus_distance", "is not positive")
+
+
+@dataclasses.dataclass
+class Integrator:
+    """What a scene file asks of the method: depth as Mitsuba counts it (1: emission only; -1: no end)."""
+
+    max_depth: int = -1
+    rr_depth: int = 5
+    hide_emitters: bool = False
+    spp: int = 16
+
+    def __post_init__(self):
+        check(self.max_depth >= -1, "integrator.max_depth", f"is {self.max_depth}; give -1 or more")
+        check(self.rr_depth >= 1, "integrator.rr_depth", f"is {self.rr_depth}; give 1 or more")
+        check(self.spp >= 1, "sampler.sample_count", f"is {self.spp}; give 1 or more")
+
+
+@dataclasses.dataclass
+class Description:
+    """A whole scene as parts. `notes`: what the loader wants said on stderr (fallbacks it took)."""
+
+    shapes: Sequence[Shape]
+    sensors: Sequence[Sensor] = ()
+    enclosure: Enclosure | None = None
+    integrator: Integrator = dataclasses.field(default_factory=Integrator)
+    notes: Sequence[str] = ()

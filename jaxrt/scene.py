@@ -1,0 +1,165 @@
+"""A scene: a pytree of a few packed tables, with its names and its plan as static structure.
+
+Named parameters are slices of the tables' rows, never a leaf each: a leaf a material costs seconds
+of tracing at a thousand. `build` (in `build.py`) makes a scene from parts.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int32
+
+from .parts import Film, Integrator, SceneError
+
+if TYPE_CHECKING:
+    from .effects import Plan
+
+KINDS = ("triangle", "parallelogram", "disk", "sphere", "cylinder")
+"""Kinds of faces, in the order in which faces are numbered. A face is a surface that a ray meets in one piece."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Slot:
+    """Where a parameter lives: `leaf[row]`, columns start:stop; `one`: a single number, the same in all of them."""
+
+    leaf: str
+    row: int | tuple[int, int]
+    columns: tuple[int, int] | None = None
+    one: bool = False
+
+    @property
+    def index(self) -> tuple[Any, ...]:
+        rows = slice(*self.row) if isinstance(self.row, tuple) else self.row
+        return (rows,) if self.columns is None else (rows, slice(*self.columns))
+
+
+@dataclasses.dataclass(frozen=True)
+class SensorStructure:
+    """The part of a sensor that decides what is compiled."""
+
+    kind: str
+    fov_axis: str
+    film: tuple[Any, ...]  # width, height, filter, radius, stddev
+
+    def sized(self, width: int, height: int) -> SensorStructure:
+        return dataclasses.replace(self, film=(width, height, *self.film[2:]))
+
+    def as_film(self) -> Film:
+        return Film(*self.film)
+
+
+@dataclasses.dataclass(frozen=True)
+class Structure:
+    """Everything static about a scene: names of parameters, sensors, and what the file asked of the method."""
+
+    slots: tuple[tuple[str, Slot], ...]
+    shapes: tuple[tuple[str, str, int, int], ...]  # id, kind of its faces, first face, past the last
+    sensors: tuple[SensorStructure, ...]
+    sensor_ids: tuple[str, ...]
+    integrator: tuple[int, int, bool, int]
+    source: str = ""
+
+    def asked(self) -> Integrator:
+        return Integrator(*self.integrator)
+
+    def slot(self, name: str) -> Slot:
+        for key, slot in self.slots:
+            if key == name:
+                return slot
+        close = difflib.get_close_matches(name, [k for k, _ in self.slots], 3, 0.4)
+        raise SceneError(
+            f"{name}: no such parameter; "
+            + (f"closest: {', '.join(close)}" if close else "jaxrt.params(scene) lists them all")
+        )
+
+
+class Scene(eqx.Module):
+    """Surfaces, reflectances, emitters and sensors. Make one with `jaxrt.load` or `Scene.build`.
+
+    Tables are padded to a few sizes, so that scenes share compiled programs. World positions are
+    `to_world` applied to positions in a shape's own space (m).
+    """
+
+    vertices: Float[Array, "V 3"]  # of all meshes, each in its shape's own space
+    normals: Float[Array, "V 3"]  # zero where a mesh has flat faces
+    uvs: Float[Array, "V 2"]
+    triangles: Int32[Array, "F 3"]
+    patches: Float[Array, "K 9"]  # parallelograms, disks, spheres, cylinders in their shapes' own space
+    face_shape: Int32[Array, " P"]
+    counts: Int32[Array, " 5"]  # faces of each kind; the rest of each block is padding
+    to_world: Float[Array, "S 4 4"]
+    flip: Float[Array, " S"]  # -1 where the front side is turned
+    shape_finish: Int32[Array, " S"]
+    finishes: Int32[Array, "Q 2"]  # (row of materials, row of radiance)
+    materials: Float[Array, "M columns"]
+    radiance: Float[Array, "E channels"]  # row 0: none, row 1: the enclosure, then area lights
+    lights: Int32[Array, " L"]  # faces that emit, -1 for padding
+    sensor_to_world: Float[Array, "N 4 4"]
+    lens: Float[Array, "N 5"]  # fov (degrees), near, far, aperture radius, focus distance
+    blocks: tuple[int, ...] = eqx.field(static=True)  # padded number of faces of each kind
+    structure: Structure = eqx.field(static=True)
+    plan: Plan | None = eqx.field(static=True, default=None)
+
+    @classmethod
+    def build(cls, shapes: Sequence[Any], **parts: Any) -> Scene:
+        """A scene from parts: `shapes`, and `sensors=`, `enclosure=`, `integrator=`, `channels=`. See `jaxrt.build`."""
+        from .build import build
+
+        return build(shapes, **parts)
+
+    @property
+    def channels(self) -> int:
+        return self.radiance.shape[-1]
+
+    def offset(self, kind: str) -> int:
+        """Number of the first face of a kind."""
+        return sum(self.blocks[: KINDS.index(kind)])
+
+    @property
+    def faces(self) -> int:
+        """Number of faces, padding included; also the row of the enclosure in tables of faces."""
+        return sum(self.blocks)
+
+    def __repr__(self) -> str:
+        kinds = [f"{stop - start} {kind} {name}" for name, kind, start, stop in self.structure.shapes]
+        return f"Scene({self.structure.source or 'from parts'}: {', '.join(kinds[:8])}{', …' if len(kinds) > 8 else ''})"
+
+
+def params(scene: Scene) -> dict[str, Array]:
+    """Every parameter of the scene by name: what can be moved and differentiated.
+
+    `red.reflectance` (C,), `light.radiance` (C,), `box.vertices` (V, 3) in the shape's own space,
+    `box.to_world` (4, 4), `sensor.to_world` (4, 4), ... The values are slices of the scene's tables.
+    """
+    out = {}
+    for name, slot in scene.structure.slots:
+        value = getattr(scene, slot.leaf)[slot.index]
+        out[name] = value[..., 0] if slot.one else value
+    return out
+
+
+def with_params(scene: Scene, values: Mapping[str, Any]) -> Scene:
+    """A new scene with the named parameters set; pure, so values may be traced.
+
+    Raises `SceneError` (a ValueError) for an unknown name, with the closest ones, and for a wrong shape.
+    """
+    leaves: dict[str, Any] = {}
+    for name, value in values.items():
+        slot = scene.structure.slot(name)
+        leaf = leaves.get(slot.leaf, getattr(scene, slot.leaf))
+        value = jnp.asarray(value, leaf.dtype)
+        want = leaf[slot.index].shape
+        if slot.one:
+            if value.shape != ():
+                raise SceneError(f"{name}: has shape {value.shape}; give one number")
+        elif value.shape != want and not (value.ndim == 0 and len(want) == 1):
+            raise SceneError(f"{name}: has shape {value.shape}; give {want}")
+        leaves[slot.leaf] = leaf.at[slot.index].set(value)
+    names = list(leaves)
+    return eqx.tree_at(lambda s: [getattr(s, n) for n in names], scene, [leaves[n] for n in names]) if names else scene

@@ -1,0 +1,72 @@
+"""Cameras: a position on the film and on the lens → a ray. Own space looks along +z, +y up, +x left."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import jax.numpy as jnp
+
+from ..sampling.warp import uniform_disk
+from ..scene import SensorStructure
+from ..vector import Vec3, normalise, transform_point, transform_vector
+
+
+def half_width(fov_axis: str, fov: Any, aspect: Any) -> Any:
+    """Half the width of the picture at distance 1, for a field of view in degrees along an axis."""
+    t = jnp.tan(jnp.deg2rad(0.5 * fov))
+    if fov_axis == "diagonal":
+        return t * aspect / jnp.sqrt(1.0 + aspect * aspect)
+    if fov_axis == "x":
+        return t
+    if fov_axis == "y":
+        return t * aspect
+    wide = aspect >= 1
+    return jnp.where(wide if fov_axis == "larger" else ~wide, t, t * aspect)
+
+
+def _perspective(x: Any, y: Any, lens: Any, u: Any) -> tuple[Vec3, Vec3]:
+    d = normalise(Vec3(x, y, jnp.ones_like(x)))
+    return d * (lens[1] / d.z), d
+
+
+def _thinlens(x: Any, y: Any, lens: Any, u: Any) -> tuple[Vec3, Vec3]:
+    a, b = uniform_disk(u)
+    on_lens = Vec3(a * lens[3], b * lens[3], jnp.zeros_like(a))
+    d = normalise(Vec3(x, y, jnp.ones_like(x)) * lens[4] - on_lens)
+    return on_lens + d * (lens[1] / d.z), d
+
+
+def _orthographic(x: Any, y: Any, lens: Any, u: Any) -> tuple[Vec3, Vec3]:
+    one = jnp.ones_like(x)
+    return Vec3(x, y, one * lens[1]), Vec3(0.0 * one, 0.0 * one, one)
+
+
+CAMERAS: dict[str, Callable[..., tuple[Vec3, Vec3]]] = {
+    "perspective": _perspective,
+    "thinlens": _thinlens,
+    "orthographic": _orthographic,
+}
+
+
+def ray(
+    sensor: SensorStructure, to_world: Any, lens: Any, size: tuple[Any, Any], at: tuple[Any, Any], u: Any
+) -> tuple[Vec3, Vec3]:
+    """Origin (on the near plane) and unit direction through a film position `at` in pixels.
+
+    `lens`: fov (degrees), near, far, aperture radius, focus distance (m); `u`: a pair in [0, 1) for the lens.
+    """
+    width, height = size
+    aspect = width / height
+    half = jnp.ones_like(lens[0]) if sensor.kind == "orthographic" else half_width(sensor.fov_axis, lens[0], aspect)
+    x = (1.0 - 2.0 * at[0] / width) * half
+    y = (1.0 - 2.0 * at[1] / height) * (half / aspect)
+    o, d = CAMERAS[sensor.kind](x, y, lens, u)
+    return transform_point(to_world, o), normalise(transform_vector(to_world, d))
+
+
+def uses_lens(sensor: SensorStructure) -> bool:
+    return sensor.kind == "thinlens"
+
+
+__all__ = ["CAMERAS", "half_width", "ray", "uses_lens"]

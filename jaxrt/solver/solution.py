@@ -1,0 +1,101 @@
+"""What a render returns: a picture that knows how wrong it is."""
+
+from __future__ import annotations
+
+import dataclasses
+import io
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+_POOL = np.array([1.0, 2.0, 1.0]) / 4.0
+
+
+def standard_error(sums: np.ndarray, counts: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+    """Standard error of each pixel's mean, (H, W, C), from sums (H·W, sets, C) of independent sets.
+
+    The few sets of one pixel give its variance 3 degrees of freedom; a binomial average over its 3 x 3
+    neighbours gives about 20, so that normal quantiles have the right coverage. NaN when there are
+    fewer than two sets.
+    """
+    used = counts > 0
+    height, width = shape
+    if used.sum() < 2:
+        return np.full((height, width, sums.shape[-1]), np.nan)
+    n, total = counts[used][None, :, None].astype(float), float(counts.sum())
+    means = sums[:, used] / n
+    mean = sums[:, used].sum(1, keepdims=True) / total
+    variance = (n * (means - mean) ** 2).sum(1) / (used.sum() - 1) / total
+    v = variance.reshape(height, width, -1)
+    for axis in (0, 1):
+        edge = [(1, 1) if a == axis else (0, 0) for a in range(3)]
+        weight = np.pad(np.ones_like(v), edge)
+        padded = np.pad(v, edge)
+        take = lambda a, k, axis=axis: np.take(a, np.arange(k, k + v.shape[axis]), axis)  # noqa: B023
+        v = sum(_POOL[k] * take(padded, k) for k in range(3)) / sum(_POOL[k] * take(weight, k) for k in range(3))
+    return np.sqrt(v)
+
+
+def relative_mse(image: Any, reference: Any) -> float:
+    """mean((I − R)²/(R² + ε)), ε = 0.01 mean(R²): the one error measure of the project; its root is relative."""
+    image, reference = np.asarray(image, np.float64), np.asarray(reference, np.float64)
+    epsilon = 0.01 * (reference**2).mean()
+    return float(((image - reference) ** 2 / np.maximum(reference**2 + epsilon, 1e-300)).mean())
+
+
+@dataclasses.dataclass
+class Solution:
+    """A picture (H, W, C) float32, its standard error, and how it came about.
+
+    image: radiance, W·m⁻²·sr⁻¹. stderr: standard error of each value (NaN below two samples a pixel).
+    stats: samples, rays, iterations, max_depth, method, why, seconds_compile, seconds_run, devices, threads.
+    """
+
+    image: np.ndarray
+    stderr: np.ndarray
+    stats: dict[str, Any]
+    header: dict[str, Any] = dataclasses.field(default_factory=dict)
+    failed: bool = False
+
+    @property
+    def result(self) -> Any:
+        """Did the render reach what was asked: `optimistix.RESULTS.successful` or `nonlinear_max_steps_reached`."""
+        import optimistix
+
+        results = optimistix.RESULTS
+        return results.nonlinear_max_steps_reached if self.failed else results.successful
+
+    @property
+    def relative_error(self) -> float:
+        """√relMSE that the standard errors predict."""
+        r = self.image.astype(np.float64) ** 2
+        scale = np.maximum(r + 0.01 * r.mean(), 1e-300)
+        return float(np.sqrt((self.stderr.astype(np.float64) ** 2 / scale).mean()))
+
+    def save(self, path: str | Path, exposure: float = 0.0) -> None:
+        """Writes `.exr` (with standard errors and provenance) or `.png` (sRGB, `exposure` in stops). Atomic.
+
+        Raises `SceneError` for another suffix or a folder that cannot be written.
+        """
+        from ..files import image as files
+        from ..parts import SceneError
+
+        path = Path(path)
+        if path.suffix.lower() == ".exr":
+            stderr = None if np.isnan(self.stderr).all() else self.stderr
+            files.write_exr(path, self.image, stderr, {"jaxrt": json.dumps(self.header)})
+        elif path.suffix.lower() == ".png":
+            files.write_png(path, self.image, exposure)
+        else:
+            raise SceneError(f"{path}: a picture is written as .exr or .png; change the suffix")
+
+    def _repr_png_(self) -> bytes:
+        from PIL import Image
+
+        from ..files.image import to_srgb
+
+        out = io.BytesIO()
+        Image.fromarray(to_srgb(self.image)).save(out, "PNG")
+        return out.getvalue()

@@ -1,0 +1,192 @@
+"""A scene in world space: the tables that rays read, made once a call of `measure` from scene and plan.
+
+Pure and differentiable: positions, reflectances and radiances keep their derivatives; what only steers
+sampling or the search does not. One row a face is gathered at each hit, and one short row of its finish.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int32
+
+from .brdf import LOBES, MaterialColumns
+from .effects import Plan
+from .intersect import Search, build_search
+from .scene import KINDS, Scene
+
+EPS = 2.0**-23
+
+
+class World(eqx.Module):
+    """Tables of one scene in world space.
+
+    `faces` rows: origin, edge e₁, edge e₂, side, finish, light density (1/m²), and as the plan calls for,
+    three vertex normals and a tangent. An edge pair means, by kind: triangle and parallelogram sides;
+    radii of a disk; radii of a sphere about its centre; axis and radius of a cylinder. The last row is
+    the enclosure. `finishes` rows: material fields, then radiance.
+    """
+
+    faces: Float[Array, "P1 columns"]
+    finishes: Float[Array, "Q fields"]
+    lights: Int32[Array, " L"]
+    light_cdf: Float[Array, " L"]
+    search: Search
+    center: Float[Array, " 3"]
+    radius: Float[Array, ""]  # of a sphere that holds all surfaces, m
+    epsilon: Float[Array, ""]  # how far rounding may move a surface point, m
+    present: Bool[Array, ""]  # true, in a way that the compiler cannot know
+    plan: Plan = eqx.field(static=True)
+    blocks: tuple[int, ...] = eqx.field(static=True)
+
+    def settle(self, tree: Any) -> Any:
+        """The same values, computed once and stored.
+
+        XLA on the CPU writes one kernel an output and repeats in each what several share; a branch is the
+        border that it does not fuse across (3 to 7 times faster; `optimization_barrier` works in jax 0.12 only).
+        """
+        return jax.lax.cond(self.present, lambda t: t, lambda t: jax.tree.map(jnp.zeros_like, t), tree)
+
+    def first(self, kind: str) -> int:
+        return sum(self.blocks[: KINDS.index(kind)])
+
+
+def _normals_matrix(m: Any) -> Any:
+    """Cofactors of the linear part, with the sign of the determinant: maps normals for any invertible m."""
+    a, b, c = m[..., :3, 0], m[..., :3, 1], m[..., :3, 2]
+    cof = jnp.stack([jnp.cross(b, c), jnp.cross(c, a), jnp.cross(a, b)], -1)
+    det = jnp.sum(a * cof[..., 0], -1)
+    return cof * jnp.sign(det)[..., None, None], det
+
+
+def _unit(v: Any) -> Any:
+    n = jnp.sum(v * v, -1, keepdims=True)
+    return v * jax.lax.rsqrt(jnp.where(n > 0, n, 1.0))
+
+
+def _face_geometry(scene: Scene, plan: Plan) -> tuple[Any, Any, Any, list[Any]]:
+    """(origin, e₁, e₂) of every face in world space, its side, its area, and the columns a plan adds."""
+    to_world = scene.to_world[scene.face_shape]
+    linear, shift = to_world[:, :3, :3], to_world[:, :3, 3]
+    apply = lambda m, v: jnp.einsum("pij,pj->pi", m, v, precision="highest")
+    normal_matrix, det = _normals_matrix(to_world)
+    mirrored = jnp.where(det < 0, -1.0, 1.0)
+    geometry, sides, areas, normals, tangents = [], [], [], [], []
+    for number, (kind, n) in enumerate(zip(KINDS, scene.blocks, strict=True)):
+        if n == 0:
+            continue
+        start = scene.offset(kind)
+        at = slice(start, start + n)
+        used = jnp.arange(n) < scene.counts[number]
+        m, t, cof = linear[at], shift[at], normal_matrix[at]
+        if kind == "triangle":
+            corner = [apply(m, scene.vertices[scene.triangles[:, j]]) + t for j in range(3)]
+            o, a, b = corner[0], corner[1] - corner[0], corner[2] - corner[0]
+            sides.append(jnp.ones(n))
+        else:
+            p = scene.patches[start - scene.blocks[0] : start - scene.blocks[0] + n]
+            o, a, b = apply(m, p[:, :3]) + t, apply(m, p[:, 3:6]), apply(m, p[:, 6:9])
+            if kind == "sphere":
+                a, b = m[:, :, 0] * p[:, 3:4], m[:, :, 1] * p[:, 3:4]
+            elif kind == "cylinder":
+                a = apply(m, p[:, 3:6] - p[:, 0:3])
+                b = _unit(_across(a)) * jnp.linalg.norm(m[:, :, 0], axis=-1, keepdims=True) * p[:, 6:7]
+            sides.append(mirrored[at] if kind in ("parallelogram", "disk") else jnp.ones(n))
+        cross = jnp.linalg.norm(jnp.where(used[:, None], jnp.cross(a, b), 1.0), axis=-1)
+        factor = {"triangle": 0.5, "parallelogram": 1.0, "disk": np.pi, "sphere": 4 * np.pi, "cylinder": 2 * np.pi}
+        areas.append(jnp.where(used, factor[kind] * cross, 0.0))
+        geometry.append(jnp.concatenate([o, a, b], -1))
+        if plan.smooth_normals:
+            shading = jnp.zeros((n, 3, 3))
+            if kind == "triangle":
+                shading = _unit(jnp.einsum("pij,pkj->pki", cof, scene.normals[scene.triangles]))
+            normals.append(shading.reshape(n, 9))
+        if plan.anisotropic:
+            tangents.append(_tangent(scene, a, b) if kind == "triangle" else a)
+    side = jnp.concatenate(sides) * scene.flip[scene.face_shape]
+    extra = ([jnp.concatenate(normals)] if normals else []) + ([jnp.concatenate(tangents)] if tangents else [])
+    return jnp.concatenate(geometry), side, jnp.concatenate(areas), extra
+
+
+def _across(a: Any) -> Any:
+    """A vector across a, for each row."""
+    k = jnp.argmin(jnp.abs(a), -1)
+    return jnp.cross(a, jax.nn.one_hot(k, 3, dtype=a.dtype))
+
+
+def _tangent(scene: Scene, a: Any, b: Any) -> Any:
+    """∂p/∂u of each triangle from its texture coordinates; 0 where it has none."""
+    uv = scene.uvs[scene.triangles]
+    d1, d2 = uv[:, 1] - uv[:, 0], uv[:, 2] - uv[:, 0]
+    det = d1[:, 0] * d2[:, 1] - d1[:, 1] * d2[:, 0]
+    safe = jnp.where(det != 0, det, 1.0)[:, None]
+    return jnp.where(det[:, None] != 0, (a * d2[:, 1:] - b * d1[:, 1:]) / safe, 0.0)
+
+
+def _bounds(scene: Scene, geometry: Any) -> tuple[Any, Any, Any]:
+    """Centre and radius of a sphere around all faces, and the largest coordinate."""
+    o, a, b = geometry[:, :3], geometry[:, 3:6], geometry[:, 6:9]
+    used = jnp.concatenate([jnp.arange(n) < scene.counts[k] for k, n in enumerate(scene.blocks) if n])
+    curved = jnp.arange(scene.faces) >= scene.offset("disk")
+    reach = jnp.abs(a) + jnp.abs(b) + jnp.abs(_unit(jnp.cross(a, b))) * jnp.linalg.norm(b, axis=-1, keepdims=True)
+    low = jnp.where(curved[:, None], o - reach, o + jnp.minimum(a, 0) + jnp.minimum(b, 0))
+    high = jnp.where(curved[:, None], o + reach, o + jnp.maximum(a, 0) + jnp.maximum(b, 0))
+    low = jnp.min(jnp.where(used[:, None], low, jnp.inf), 0)
+    high = jnp.max(jnp.where(used[:, None], high, -jnp.inf), 0)
+    return 0.5 * (low + high), 0.5 * jnp.linalg.norm(high - low), jnp.maximum(jnp.abs(low), jnp.abs(high)).max()
+
+
+def prepare(scene: Scene, plan: Plan) -> World:
+    """The world of a scene under a plan. Pure; the search structure carries no derivatives."""
+    sg = jax.lax.stop_gradient
+    geometry, side, area, extra = _face_geometry(scene, plan)
+    center, radius, reach = _bounds(scene, sg(geometry))
+    finish = scene.shape_finish[scene.face_shape].astype(geometry.dtype)
+
+    # Lights are chosen by power; a share spread evenly keeps lamps at radiance 0 in the derivative.
+    face = jnp.where(scene.lights >= 0, scene.lights, 0)
+    shape = scene.face_shape[face]
+    power = sg(area[face] * scene.radiance[scene.finishes[scene.shape_finish[shape], 1]].mean(-1))
+    real = (scene.lights >= 0) & (sg(area)[face] > 0)
+    n = jnp.maximum(real.sum(), 1)
+    total = jnp.where(real, power, 0).sum()
+    chance = jnp.where(total > 0, 0.95 * power / jnp.where(total > 0, total, 1.0) + 0.05 / n, 1.0 / n)
+    chance = jnp.where(real, chance, 0.0)
+    density = jnp.zeros(scene.faces).at[jnp.where(real, scene.lights, scene.faces)].add(
+        chance / jnp.where(real, sg(area)[face], 1.0), mode="drop"
+    )
+
+    rows = jnp.concatenate([geometry, side[:, None], finish[:, None], density[:, None].astype(side.dtype), *extra], -1)
+    rows = jnp.concatenate([rows, jnp.zeros((1, rows.shape[1]), rows.dtype).at[0, 9].set(1.0)])
+    table = MaterialColumns(scene.channels)
+    columns = [j for f in plan.fields for j in range(*table[f])]
+    if plan.channels == 1:
+        columns = [j for f in plan.fields for j in range(*table[f])[: 2 if f == "alpha" else 1]]
+    finishes = jnp.concatenate(
+        [
+            scene.materials[scene.finishes[:, 0]][:, np.array(columns)],
+            scene.radiance[scene.finishes[:, 1]][:, : plan.channels],
+        ],
+        -1,
+    )
+    search = build_search(sg(geometry), scene.counts, scene.blocks, sg(center), sg(radius), plan)
+    return World(
+        faces=rows,
+        finishes=finishes,
+        lights=scene.lights,
+        light_cdf=jnp.cumsum(chance),
+        search=search,
+        center=sg(center),
+        radius=sg(radius),
+        epsilon=8 * EPS * jnp.maximum(sg(reach), sg(radius)),
+        present=scene.counts[0] >= 0,
+        plan=plan,
+        blocks=scene.blocks,
+    )
+
+
+__all__ = ["LOBES", "World", "prepare"]
