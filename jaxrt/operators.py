@@ -189,14 +189,14 @@ def surface_sample(world: World, s: Stream) -> tuple[SurfacePoint, Vec3, Any]:
     """
     areas = []
     for k, kind in enumerate(KINDS):
-        rows = world.faces[world.first(kind) : world.first(kind) + world.blocks[k]]
+        rows = world.geometry[world.first(kind) : world.first(kind) + world.blocks[k]]
         cross = jnp.linalg.norm(jnp.cross(rows[:, 3:6], rows[:, 6:9]), axis=-1)
         factor = {"triangle": 0.5, "parallelogram": 1.0, "disk": np.pi, "sphere": 4 * np.pi, "cylinder": 2 * np.pi}
         areas.append(cross * factor[kind])
     cdf = jnp.cumsum(jnp.concatenate(areas))
     choice, side = s.pair_at(0)
     face = jnp.minimum(jnp.searchsorted(cdf, choice * cdf[-1], side="right"), cdf.shape[0] - 1).astype(jnp.int32)
-    row, u = world.faces[face], s.pair_at(1)
+    row, u = world.geometry[face], s.pair_at(1)
     o, e1, e2 = (Vec3(*row[k : k + 3]) for k in (0, 3, 6))
     k = jnp.searchsorted(jnp.cumsum(jnp.array(world.blocks)), face, side="right")
     ball = uniform_sphere(u)

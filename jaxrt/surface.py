@@ -11,7 +11,7 @@ import jax.numpy as jnp
 from .brdf import Material, MaterialColumns
 from .scene import KINDS
 from .vector import Frame, Spectrum, Vec3, cross, dot, normalise, safe_sqrt, where
-from .world import World
+from .world import FACE, World
 
 
 class SurfacePoint(eqx.Module):
@@ -41,122 +41,88 @@ def _vec(row: Any, start: int) -> Vec3:
     return Vec3(row[start], row[start + 1], row[start + 2])
 
 
-def _plane(row: Any, o: Vec3, d: Vec3) -> tuple[Any, Any, Any]:
-    """Distance and coordinates (u, v) along e₁ and e₂ at which a ray meets the plane of a face."""
-    v0, e1, e2 = _vec(row, 0), _vec(row, 3), _vec(row, 6)
-    s, p = o - v0, cross(d, e2)
-    det = dot(e1, p)
-    inverse = 1.0 / jnp.where(det == 0, 1.0, det)
-    q = cross(s, e1)
-    return dot(e2, q) * inverse, dot(s, p) * inverse, dot(d, q) * inverse
-
-
-def quadratic(a: Any, b: Any, c: Any) -> tuple[Any, Any]:
-    """Both roots of a t² + 2 b t + c, without cancellation; +inf where there is none."""
-    disc = b * b - a * c
-    ok = disc > 0
-    q = -(b + jnp.where(b >= 0, 1.0, -1.0) * safe_sqrt(disc))
-    t0 = q / jnp.where(a == 0, 1.0, a)
-    t1 = c / jnp.where(q == 0, 1.0, q)
-    inf = jnp.inf
-    return jnp.where(ok, jnp.minimum(t0, t1), inf), jnp.where(ok, jnp.maximum(t0, t1), inf)
-
-
-def _sphere(row: Any, o: Vec3, d: Vec3, least: Any) -> tuple[Any, Vec3]:
+def _sphere(center: Vec3, radius: Any, o: Vec3, d: Vec3, least: Any) -> tuple[Any, Vec3]:
     """Distance to a sphere beyond `least`, and the outward unit normal there."""
-    c, e1 = _vec(row, 0), _vec(row, 3)
-    s = o - c
-    r2 = dot(e1, e1)
+    s, r2 = o - center, radius * radius
     b = dot(s, d)
     away = s - d * b
-    half = safe_sqrt(r2 - dot(away, away))
-    c0 = dot(s, s) - r2
-    q = -(b + jnp.where(b >= 0, 1.0, -1.0) * half)
-    other = c0 / jnp.where(q == 0, 1.0, q)
+    q = -(b + jnp.where(b >= 0, 1.0, -1.0) * safe_sqrt(r2 - dot(away, away)))
+    other = (dot(s, s) - r2) / jnp.where(q == 0, 1.0, q)
     near, far = jnp.minimum(q, other), jnp.maximum(q, other)
     t = jnp.where(near > least, near, far)
     return t, normalise(s + d * t)
 
 
-def _cylinder(row: Any, o: Vec3, d: Vec3, least: Any) -> tuple[Any, Vec3]:
+def _cylinder(foot: Vec3, radius: Any, axis: Vec3, o: Vec3, d: Vec3, least: Any) -> tuple[Any, Vec3]:
     """Distance to an open cylinder beyond `least`, and the outward unit normal there."""
-    p0, axis, e2 = _vec(row, 0), _vec(row, 3), _vec(row, 6)
-    s, l2 = o - p0, dot(axis, axis)
-    inverse = 1.0 / jnp.where(l2 == 0, 1.0, l2)
-    so, dd = s - axis * (dot(s, axis) * inverse), d - axis * (dot(d, axis) * inverse)
-    near, far = quadratic(dot(dd, dd), dot(so, dd), dot(so, so) - dot(e2, e2))
-    height = (dot(s, axis) + jnp.where(jnp.isfinite(near), near, 0.0) * dot(d, axis)) * inverse
+    s, inverse = o - foot, 1.0 / dot(axis, axis)
+    so, across = s - axis * (dot(s, axis) * inverse), d - axis * (dot(d, axis) * inverse)
+    a, b, c = dot(across, across), dot(so, across), dot(so, so) - radius * radius
+    q = -(b + jnp.where(b >= 0, 1.0, -1.0) * safe_sqrt(b * b - a * c))
+    t0, t1 = q / jnp.where(a == 0, 1.0, a), c / jnp.where(q == 0, 1.0, q)
+    near, far = jnp.minimum(t0, t1), jnp.maximum(t0, t1)
+    height = (dot(s, axis) + near * dot(d, axis)) * inverse
     t = jnp.where((near > least) & (height >= 0) & (height <= 1), near, far)
-    t = jnp.where(jnp.isfinite(t), t, 0.0)
-    return t, normalise(so + dd * t)
+    return t, normalise(so + across * t)
 
 
 def surface_point(world: World, face: Any, o: Vec3, d: Vec3) -> SurfacePoint:
     """The point where the ray (o, d) meets a face; the enclosure for face −1: finite, far, normal −d."""
-    plan, number = world.plan, world.faces.shape[0] - 1
+    plan, first = world.plan, world.first
     miss = face < 0
-    row = _row(world.faces, jnp.where(miss, number, face))
-    flat = any(world.blocks[:3])
-    side = row[9]
-    e1, e2 = _vec(row, 3), _vec(row, 6)
-    if flat:
-        t, u, v = _plane(row, o, d)
-        normal = normalise(cross(e1, e2)) * side
-        position = _vec(row, 0) + e1 * u + e2 * v  # error in proportion to the face, not to the distance
-    else:
-        t, u, v = jnp.zeros_like(d.x), jnp.zeros_like(d.x), jnp.zeros_like(d.x)
-        normal, position = -d, o
-    least = -0.5 * world.epsilon
-    for kind, meet in (("sphere", _sphere), ("cylinder", _cylinder)):
+    row = _row(world.faces, jnp.where(miss, world.faces.shape[0] - 1, face))
+    center = Vec3(*world.center)
+    at, n, c0, side = o - center, _vec(row, FACE["n"]), row[FACE["height"]], row[FACE["side"]]
+    # Where the ray meets the face's plane, put back onto the plane against rounding over the distance.
+    slope = dot(n, d)
+    t = -(dot(n, at) + c0) / jnp.where(slope == 0, 1.0, slope)
+    p = at + d * t
+    p, normal = p - n * (dot(n, p) + c0), n
+    coordinate = lambda k: dot(_vec(row, FACE[k]), p) + row[FACE[k] + 3]
+    u, v = coordinate("u"), coordinate("v")
+    for kind in ("sphere", "cylinder"):
         if world.blocks[KINDS.index(kind)] == 0:
             continue
-        here = face >= world.first(kind)
-        # Rows of other kinds go through with a unit sphere's or cylinder's numbers: no 0/0 in derivatives.
-        safe = [jnp.where(here, row[k], float(k in (3, 7))) for k in range(9)]
-        tc, nc = meet(safe, o, d, least)
-        start = _vec(safe, 0)
+        # Other rows go through as the unit sphere or cylinder: no 0/0 in derivatives.
+        here = face >= first(kind)
+        middle, radius = where(here, n, Vec3(0.0, 0.0, 0.0)), jnp.where(here, c0, 1.0)
+        axis = where(here, _vec(row, FACE["u"]), Vec3(0.0, 0.0, 1.0))
+        least = -0.5 * world.epsilon
         if kind == "sphere":
-            pc = start + nc * safe_sqrt(dot(_vec(safe, 3), _vec(safe, 3)))
+            tc, nc = _sphere(middle, radius, at, d, least)
+            pc = middle + nc * radius
         else:
-            pc = o + d * tc
+            tc, nc = _cylinder(middle, radius, axis, at, d, least)
+            pc = at + d * tc
         t, u, v = (jnp.where(here, a, b) for a, b in ((tc, t), (0.0, u), (0.0, v)))
-        normal, position = where(here, nc * side, normal), where(here, pc, position)
-    far = 4.0 * world.radius + 1.0
-    position = where(miss, o + d * far, position)
+        normal, p = where(here, nc * side, normal), where(here, pc, p)
+    p = where(miss, at + d * (4.0 * world.radius + 1.0), p)
     normal = where(miss, -d, normal)
-    zero = lambda a: jnp.where(miss, 0.0, a)
-    shading, tangent, at = normal, None, 12
+    u, v = jnp.where(miss, 0.0, u), jnp.where(miss, 0.0, v)
+    shading, tangent, extra = normal, None, FACE["extra"]
     if plan.smooth_normals:
-        w = 1.0 - u - v
-        n0, n1, n2 = _vec(row, 12), _vec(row, 15), _vec(row, 18)
-        smooth = n0 * zero(w) + n1 * zero(u) + n2 * zero(v)
+        n0, n1, n2 = (_vec(row, extra + 3 * k) for k in range(3))
+        smooth = (n0 * (1.0 - u - v) + n1 * u + n2 * v) * side
         given = (dot(smooth, smooth) > 1e-12) & ~miss
-        smooth = normalise(where(given, smooth, normal)) * jnp.where(given, world_flip(row), 1.0)
-        shading, at = where(given, smooth, normal), 21
+        shading, extra = normalise(where(given, smooth, normal)), extra + 9
     if plan.anisotropic:
-        tangent = _vec(row, at)
+        tangent = _vec(row, extra)
         for kind in ("sphere", "cylinder"):
             if world.blocks[KINDS.index(kind)]:
-                axis = cross(e1, e2) if kind == "sphere" else e1
-                tangent = where(face >= world.first(kind), cross(axis, normal), tangent)
-        given = dot(tangent, tangent) > 0
-        tangent = where(given & ~miss, tangent, Frame.around(shading).s)
+                tangent = where(face >= first(kind), cross(_vec(row, FACE["u"]), normal), tangent)
+        given = (dot(tangent, tangent) > 0) & ~miss
+        tangent = where(given, tangent, Frame.around(shading).s)
     return SurfacePoint(
-        position=position,
+        position=p + center,
         normal=normal,
         shading=shading,
-        uv=(zero(u), zero(v)),
+        uv=(u, v),
         face=face,
         distance=jnp.where(miss, jnp.inf, t),
-        finish=jax.lax.stop_gradient(row[10]).astype(jnp.int32),
-        light_density=jax.lax.stop_gradient(row[11]),
+        finish=jax.lax.stop_gradient(row[FACE["finish"]]).astype(jnp.int32),
+        light_density=jax.lax.stop_gradient(row[FACE["density"]]),
         tangent=tangent,
     )
-
-
-def world_flip(row: Any) -> Any:
-    """Side of a mesh face: its vertex normals turn with it."""
-    return row[9]
 
 
 def radiance_of(world: World, x: SurfacePoint, w: Vec3) -> Spectrum:

@@ -12,28 +12,32 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int32
+from jaxtyping import Array, Bool, Float
 
-from .brdf import LOBES, MaterialColumns
+from .brdf import MaterialColumns
 from .effects import Plan
-from .intersect import Search, build_search
+from .intersect import Search, affine, build_search
 from .scene import KINDS, Scene
 
-EPS = 2.0**-23
+FACE = {"n": 0, "height": 3, "side": 4, "finish": 5, "density": 6, "u": 7, "v": 11, "extra": 15}
+"""Columns of `World.faces`. Of a curved face: n is its centre (or foot), height its radius, u its axis."""
 
 
 class World(eqx.Module):
     """Tables of one scene in world space.
 
-    `faces` rows: origin, edge e₁, edge e₂, side, finish, light density (1/m²), and as the plan calls for,
-    three vertex normals and a tangent. An edge pair means, by kind: triangle and parallelogram sides;
-    radii of a disk; radii of a sphere about its centre; axis and radius of a cylinder. The last row is
-    the enclosure. `finishes` rows: material fields, then radiance.
+    `geometry` rows: origin, edge e₁, edge e₂, meaning by kind: corner and sides of a triangle or parallelogram;
+    centre and radii of a disk; centre and radii of a sphere; foot, axis and radius of a cylinder.
+    `faces` rows, gathered at each hit (`FACE` names the columns), about `center`: the affine maps of a flat
+    face to its height and coordinates, or centre and radius of a curved one; side, finish, light density
+    (1/m²); and as the plan calls for, three vertex normals and a tangent. The last row is the enclosure.
+    `finishes` rows: material fields, then radiance. `light_rows`: geometry, normal, density, radiance, face.
     """
 
+    geometry: Float[Array, "P 9"]
     faces: Float[Array, "P1 columns"]
     finishes: Float[Array, "Q fields"]
-    lights: Int32[Array, " L"]
+    light_rows: Float[Array, "L fields"]
     light_cdf: Float[Array, " L"]
     search: Search
     center: Float[Array, " 3"]
@@ -112,6 +116,11 @@ def _face_geometry(scene: Scene, plan: Plan) -> tuple[Any, Any, Any, list[Any]]:
     return jnp.concatenate(geometry), side, jnp.concatenate(areas), extra
 
 
+def safe_norm(a: Any) -> Any:
+    n = jnp.sum(a * a, -1)
+    return jnp.where(n > 0, jnp.sqrt(jnp.where(n > 0, n, 1.0)), 0.0)
+
+
 def _across(a: Any) -> Any:
     """A vector across a, for each row."""
     k = jnp.argmin(jnp.abs(a), -1)
@@ -160,8 +169,23 @@ def prepare(scene: Scene, plan: Plan) -> World:
         chance / jnp.where(real, sg(area)[face], 1.0), mode="drop"
     )
 
-    rows = jnp.concatenate([geometry, side[:, None], finish[:, None], density[:, None].astype(side.dtype), *extra], -1)
-    rows = jnp.concatenate([rows, jnp.zeros((1, rows.shape[1]), rows.dtype).at[0, 9].set(1.0)])
+    o = geometry[:, :3] - sg(center)
+    maps = affine(o, geometry[:, 3:6], geometry[:, 6:9])
+    n, height, u, v = maps[:, :3] * side[:, None], maps[:, 3] * side, maps[:, 4:8], maps[:, 8:12]
+    if sum(scene.blocks[3:]):
+        number = jnp.arange(scene.faces)
+        ball, tube = number >= scene.offset("sphere"), number >= scene.offset("cylinder")
+        radius_of = safe_norm(jnp.where(tube[:, None], geometry[:, 6:9], geometry[:, 3:6]))
+        axis = jnp.where(tube[:, None], geometry[:, 3:6], jnp.cross(geometry[:, 3:6], geometry[:, 6:9]))
+        n, height = jnp.where(ball[:, None], o, n), jnp.where(ball, radius_of, height)
+        u = jnp.where(ball[:, None], jnp.concatenate([axis, u[:, 3:]], -1), u)
+    columns = [n, height[:, None], side[:, None], finish[:, None], density[:, None].astype(side.dtype), u, v, *extra]
+    rows = jnp.concatenate(columns, -1)
+    rows = jnp.concatenate([rows, jnp.zeros((1, rows.shape[1]), rows.dtype).at[0, FACE["side"]].set(1.0)])
+    lit = scene.radiance[scene.finishes[scene.shape_finish[shape], 1]][:, : plan.channels]
+    light_rows = jnp.concatenate(
+        [geometry[face], rows[face, :3], density[face][:, None], lit, face[:, None].astype(side.dtype)], -1
+    )
     table = MaterialColumns(scene.channels)
     columns = [j for f in plan.fields for j in range(*table[f])]
     if plan.channels == 1:
@@ -173,20 +197,21 @@ def prepare(scene: Scene, plan: Plan) -> World:
         ],
         -1,
     )
-    search = build_search(sg(geometry), scene.counts, scene.blocks, sg(center), sg(radius), plan)
+    search = build_search(sg(geometry), sg(maps), scene.counts, scene.blocks, sg(center), sg(radius), plan)
     return World(
+        geometry=geometry,
         faces=rows,
         finishes=finishes,
-        lights=scene.lights,
+        light_rows=light_rows,
         light_cdf=jnp.cumsum(chance),
         search=search,
         center=sg(center),
         radius=sg(radius),
-        epsilon=8 * EPS * jnp.maximum(sg(reach), sg(radius)),
+        epsilon=8 * 2.0**-23 * jnp.maximum(sg(reach), sg(radius)),
         present=scene.counts[0] >= 0,
         plan=plan,
         blocks=scene.blocks,
     )
 
 
-__all__ = ["LOBES", "World", "prepare"]
+__all__ = ["FACE", "World", "prepare"]

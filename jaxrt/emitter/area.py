@@ -16,10 +16,9 @@ import numpy as np
 from ..radiometry import one_minus_cos
 from ..sampling import warp
 from ..sampling.sobol import Drawn, Stream
-from ..scene import KINDS
 from ..surface import SurfacePoint, _row, _vec
 from ..vector import Frame, Spectrum, Vec3, cross, dot, normalise, safe_sqrt, where
-from ..world import World
+from ..world import FACE, World
 
 
 class LightSample(eqx.Module):
@@ -76,54 +75,55 @@ def _sphere_point(x: Vec3, row: Any, u: tuple[Any, Any]) -> tuple[Vec3, Any, Any
     return y, normalise(y - center), jnp.where(outside, 1.0 / (2.0 * np.pi * omc), 0.0)
 
 
-def _flat_point(kind: str, row: Any, u: tuple[Any, Any]) -> tuple[Vec3, Vec3]:
-    o, e1, e2 = _vec(row, 0), _vec(row, 3), _vec(row, 6)
-    if kind == "cylinder":
-        radius = safe_sqrt(dot(e2, e2))
-        side, (c, s) = normalise(cross(normalise(e1), normalise(e2))), warp.circle(u[1])
-        n = normalise(e2) * c + side * s
-        return o + e1 * u[0] + n * radius, n
+def _flat_point(kind: str, row: Any, u: tuple[Any, Any]) -> Vec3:
     uv = {"triangle": warp.uniform_triangle, "parallelogram": lambda u: u, "disk": warp.uniform_disk}[kind](u)
-    return o + e1 * uv[0] + e2 * uv[1], normalise(cross(e1, e2))
+    return _vec(row, 0) + _vec(row, 3) * uv[0] + _vec(row, 6) * uv[1]
+
+
+def _cylinder_point(row: Any, u: tuple[Any, Any]) -> tuple[Vec3, Vec3]:
+    o, axis, across = _vec(row, 0), _vec(row, 3), _vec(row, 6)
+    side, (c, s) = normalise(cross(normalise(axis), normalise(across))), warp.circle(u[1])
+    n = normalise(across) * c + side * s
+    return o + axis * u[0] + n * safe_sqrt(dot(across, across)), n
 
 
 def sample(world: World, x: Vec3, s: Stream | Drawn, pair: int) -> LightSample:
     """A direction from x to a light. Uses the pairs `pair` and, to choose among several lights, `pair + 1`."""
     plan = world.plan
     u = s.pair_at(pair)
-    if plan.many_lights:
-        index, _ = _choose(world, s.pair_at(pair + 1)[0])
-    else:
-        index = 0
-    face = _row(world.lights, index)
-    row = _row(world.faces, face)
-    x, fixed = jax.lax.stop_gradient((x, [row[k] for k in range(12)]))
+    index = _choose(world, s.pair_at(pair + 1)[0])[0] if plan.many_lights else 0
+    row = _row(world.light_rows, index)
+    face = row[13 + plan.channels].astype(jnp.int32)
+    x, fixed = jax.lax.stop_gradient((x, [row[k] for k in range(13)]))
+    front, density = _vec(fixed, 9), fixed[12]
     y, normal, cone = None, None, jnp.zeros_like(x.x)
     for kind in plan.light_kinds:
         if kind == "sphere":
             yk, nk, ck = _sphere_point(x, fixed, u)
+            nk = nk * _row(world.faces, face)[FACE["side"]]
+        elif kind == "cylinder":
+            (yk, nk), ck = _cylinder_point(fixed, u), 0.0
+            nk = nk * _row(world.faces, face)[FACE["side"]]
         else:
-            (yk, nk), ck = _flat_point(kind, fixed, u), 0.0
+            yk, nk, ck = _flat_point(kind, fixed, u), front, 0.0
         if y is None or normal is None:
-            y, normal, cone = yk, nk, ck
+            y, normal, cone = yk, nk, cone + ck
         else:
             here = face >= world.first(kind)
             y, normal, cone = where(here, yk, y), where(here, nk, normal), jnp.where(here, ck, cone)
     assert y is not None and normal is not None
     to = y - x
     d2 = dot(to, to)
-    w = normalise(to)
-    cos = -dot(normal, w) * fixed[9]
-    density = fixed[11]
+    inverse = jax.lax.rsqrt(jnp.where(d2 > 0, d2, 1.0))
+    w = to * inverse
+    cos = -dot(normal, w)
     pdf = _per_area(density, d2, cos)
     if "sphere" in plan.light_kinds:
         area = 4.0 * np.pi * dot(_vec(fixed, 3), _vec(fixed, 3))
         pdf = jnp.where(cone > 0, density * area * cone, pdf)
     lit = (cos > 0) & (d2 > 0)
-    finish = _row(world.finishes, fixed[10].astype(jnp.int32))
-    k = finish.shape[0] - plan.channels
-    radiance = Spectrum(tuple(jnp.where(lit, finish[k + c], 0.0) for c in range(plan.channels)))
-    return LightSample(w, safe_sqrt(d2), radiance, jnp.where(lit, pdf, 0.0), face)
+    radiance = Spectrum(tuple(jnp.where(lit, row[13 + c], 0.0) for c in range(plan.channels)))
+    return LightSample(w, d2 * inverse, radiance, jnp.where(lit, pdf, 0.0), face)
 
 
 def density(world: World, x: Vec3, y: SurfacePoint, w: Vec3) -> Any:
@@ -135,12 +135,12 @@ def density(world: World, x: Vec3, y: SurfacePoint, w: Vec3) -> Any:
     pdf = _per_area(y.light_density, distance * distance, cos)
     if "sphere" in world.plan.light_kinds:
         row = _row(world.faces, jnp.where(y.face < 0, 0, y.face))
-        r2 = dot(_vec(row, 3), _vec(row, 3))
-        _, _, omc, outside = _cone(x, _vec(row, 0), r2)
+        r2 = row[FACE["height"]] ** 2
+        _, _, omc, outside = _cone(x - Vec3(*world.center), _vec(row, FACE["n"]), r2)
         cone = y.light_density * 4.0 * np.pi * r2 / (2.0 * np.pi * omc)
         ball = (y.face >= world.first("sphere")) & (y.face < world.first("cylinder")) & outside
         pdf = jnp.where(ball, cone, pdf)
     return jnp.where(hit, pdf, 0.0)
 
 
-__all__ = ["KINDS", "LightSample", "density", "sample"]
+__all__ = ["LightSample", "density", "sample"]

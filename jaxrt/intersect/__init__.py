@@ -10,7 +10,7 @@ from __future__ import annotations
 from typing import Any, Protocol
 
 from ..vector import Vec3
-from .dense import Dense
+from .dense import Dense, affine
 
 
 class Search(Protocol):
@@ -24,6 +24,11 @@ class Search(Protocol):
 BACKENDS = {"dense": Dense}
 
 
-def build_search(geometry: Any, counts: Any, blocks: tuple[int, ...], center: Any, radius: Any, plan: Any) -> Search:
-    """The search structure of a plan's backend over faces (origin, e₁, e₂) in world space."""
-    return BACKENDS[plan.backend].build(geometry, counts, blocks, center, radius, plan)
+def build_search(
+    geometry: Any, maps: Any, counts: Any, blocks: tuple[int, ...], center: Any, radius: Any, plan: Any
+) -> Search:
+    """The search structure of a plan's backend over faces: (origin, e₁, e₂), and their affine maps about `center`."""
+    return BACKENDS[plan.backend].build(geometry, maps, counts, blocks, center, radius)
+
+
+__all__ = ["BACKENDS", "Search", "affine", "build_search"]

@@ -31,16 +31,15 @@ class Dense(eqx.Module):
     blocks: tuple[int, ...] = eqx.field(static=True)
 
     @classmethod
-    def build(cls, geometry: Any, counts: Any, blocks: tuple[int, ...], center: Any, radius: Any, plan: Any) -> Dense:
-        """Tables from faces (origin, e₁, e₂), shape (P, 9), grouped by kind in `blocks`."""
-        eps = jnp.finfo(geometry.dtype).eps
-        tolerance = 4 * eps * radius
-        o, a, b = geometry[:, :3] - center, geometry[:, 3:6], geometry[:, 6:9]
+    def build(cls, geometry: Any, maps: Any, counts: Any, blocks: tuple[int, ...], center: Any, radius: Any) -> Dense:
+        """Tables from faces (origin, e₁, e₂), shape (P, 9), grouped by kind in `blocks`, and their `affine` maps."""
+        slack = 4 * jnp.finfo(geometry.dtype).eps * radius
+        u, v = maps[:, 4:7], maps[:, 8:11]
+        steep = jnp.sqrt(jnp.maximum(jnp.sum(u * u, -1), jnp.sum(v * v, -1)))
+        table = jnp.concatenate([maps, (slack * steep)[:, None]], -1)
         starts = [sum(blocks[:k]) for k in range(6)]
-        flat = []
-        for k in range(3):
-            at = slice(starts[k], starts[k + 1])
-            flat.append(_affine(o[at], a[at], b[at], tolerance, FLAT[k] == "disk"))
+        flat = [table[starts[k] : starts[k + 1]] for k in range(3)]
+        o, a, b = geometry[:, :3] - center, geometry[:, 3:6], geometry[:, 6:9]
         ball, tube = slice(starts[3], starts[4]), slice(starts[4], starts[5])
         l2 = jnp.sum(a[tube] ** 2, -1, keepdims=True)
         used = l2 > 0
@@ -113,8 +112,8 @@ def _allowed(face: Any, exclude: Any) -> Any:
     return ok
 
 
-def _affine(o: Any, a: Any, b: Any, tolerance: Any, disk: bool) -> Any:
-    """Rows (n, c₀, U, c₁, V, c₂, tolerance): height n·p + c₀ and coordinates U·p + c₁, V·p + c₂ of a point p."""
+def affine(o: Any, a: Any, b: Any) -> Any:
+    """Rows (n, c₀, U, c₁, V, c₂): height n·p + c₀ and coordinates U·p + c₁, V·p + c₂ of p over o + u a + v b."""
     cross = jnp.cross(a, b)
     l2 = jnp.sum(cross * cross, -1, keepdims=True)
     ok = l2 > 0
@@ -122,10 +121,8 @@ def _affine(o: Any, a: Any, b: Any, tolerance: Any, disk: bool) -> Any:
     n = jnp.where(ok, cross * jax.lax.rsqrt(safe), 0.0)
     u, v = jnp.where(ok, jnp.cross(b, cross) / safe, 0.0), jnp.where(ok, jnp.cross(cross, a) / safe, 0.0)
     constant = lambda w: -jnp.sum(w * o, -1, keepdims=True)
-    slack = tolerance * jnp.sqrt(jnp.maximum(jnp.sum(u * u, -1, keepdims=True), jnp.sum(v * v, -1, keepdims=True)))
     # A face without area lies nowhere: its height is constant, so a ray never reaches it.
-    columns = [n, jnp.where(ok, constant(n), 1.0), u, constant(u), v, constant(v), slack]
-    return jnp.concatenate(columns, -1)
+    return jnp.concatenate([n, jnp.where(ok, constant(n), 1.0), u, constant(u), v, constant(v)], -1)
 
 
 def _flat_test(kind: str, table: Any) -> Callable[..., Any]:

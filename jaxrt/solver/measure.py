@@ -20,8 +20,11 @@ from ..vector import Frame, Vec3, normalise
 from ..world import World, prepare
 from . import path
 
-LANES = 8192
-"""Rays in flight in one program: fits a core's cache and hides the cost of starting a kernel."""
+LANES = 512
+"""Rays in flight in one program: all that a bounce touches fits a core's cache (256 to 1024 measured alike)."""
+
+WIDE = 8192
+"""Rays in flight under differentiation, where a program still pays for starting each kernel."""
 
 PASS = 256
 """Samples a pixel that are summed plainly; sums of passes are compensated."""
@@ -45,9 +48,11 @@ def depths_of(scene: Scene, max_depth: int | None, rr_depth: int | None = None) 
     return path.Depths(depth, asked.rr_depth if rr_depth is None else rr_depth, asked.hide_emitters)
 
 
-def _padded_pixels(n: int, lanes: int) -> Any:
+def _chunks(numbers: Any, lanes: int) -> Any:
+    """Numbers in rows of at most `lanes`, the last row filled up from the start."""
+    n = numbers.shape[0]
     lanes = min(lanes, n)
-    return (jnp.arange(-(-n // lanes) * lanes) % n).astype(jnp.int32).reshape(-1, lanes)
+    return numbers[jnp.arange(-(-n // lanes) * lanes) % n].reshape(-1, lanes)
 
 
 def _compensated(step: Any, start: Any, count: int) -> Any:
@@ -84,8 +89,12 @@ def _picture_jvp(primals: Any, tangents: Any) -> Any:
             "measure: derivatives need a finite number of bounces; give max_depth= (as Mitsuba counts: 1 is emission only)"
         )
 
+    lanes = max(1, WIDE // pixels.shape[1]) * pixels.shape[1]
+    wide = _chunks(pixels.reshape(-1), lanes)
+
     def fixed(world: World, view: path.View) -> Any:
-        return jax.lax.map(lambda px: path.trace_fixed(world, view, depth, depths, seed, px, spp), pixels)
+        values = jax.lax.map(lambda px: path.trace_fixed(world, view, depth, depths, seed, px, spp), wide)
+        return values.reshape(-1, values.shape[-1])[: pixels.size].reshape(*pixels.shape, -1)
 
     return eqx.filter_jvp(fixed, (world, view), (tangents[0], tangents[1]))
 
@@ -114,7 +123,7 @@ def measure(
     view, depths = view_of(scene, sensor), depths_of(scene, max_depth, rr_depth)
     world = prepare(scene, plan)
     width, height = scene.structure.sensors[sensor].film[:2]
-    pixels = _padded_pixels(width * height, LANES)
+    pixels = _chunks(jnp.arange(width * height, dtype=jnp.int32), LANES)
     values = _picture(world, view, depths, seed_of(key), pixels, spp, depths.max_depth)
     image = values.reshape(-1, plan.channels)[: width * height].reshape(height, width, plan.channels)
     return jnp.broadcast_to(image, (height, width, plan.out_channels))

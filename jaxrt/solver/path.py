@@ -18,6 +18,7 @@ from jax.lax import stop_gradient as sg
 
 from .. import emitter
 from ..casting import cast
+from ..compiler import one_function
 from ..rules import balance, light_node, reflection_density, reflection_node
 from ..sampling.sobol import Drawn, Stream, combine
 from ..scene import SensorStructure
@@ -73,7 +74,10 @@ def bounce(world: World, depths: Depths, state: PathState, s: Stream) -> PathSta
     """One step of a path: land, collect emission and direct light, reflect."""
     plan = world.plan
     # ψ: where the ray lands.
-    x, s = world.settle((cast(world, state.o, state.d), Drawn.of(s, BOUNCE_PAIRS)))
+    x = cast(world, state.o, state.d)
+    used = (x.position, x.normal, x.shading, x.tangent, x.distance, x.finish, x.light_density)
+    (p, n, ns, tangent, t, finish, density), s = world.settle((used, Drawn.of(s, BOUNCE_PAIRS)))
+    x = replace(x, position=p, normal=n, shading=ns, tangent=tangent, distance=t, finish=finish, light_density=density)
     wo = -state.d
     # Emission met by reflection, weighted against the chance of having drawn it as a light.
     share = 1.0
@@ -103,8 +107,7 @@ def bounce(world: World, depths: Depths, state: PathState, s: Stream) -> PathSta
     survive = jnp.where(depth >= depths.rr_depth, jnp.clip(most, 0.0, 0.95), 1.0)
     alive = alive & (most > 0) & (s.pair_at(2)[1] < survive)
     beta = beta * (1.0 / jnp.where(survive > 0, survive, 1.0))
-    follow = PathState(leave(world, x, node.w), node.w, beta, radiance, node.pdf, node.delta, depth, alive)
-    return where(alive, follow, replace(state, radiance=radiance, depth=depth, alive=alive))
+    return PathState(leave(world, x, node.w), node.w, beta, radiance, node.pdf, node.delta, depth, alive)
 
 
 class View(eqx.Module):
@@ -191,8 +194,13 @@ def run(world: World, depths: Depths, seed: Any, numbers: Any, begin: Any, first
     zero = Spectrum.full(world.plan.channels, jnp.zeros(numbers.shape, world.faces.dtype))
     sample = jnp.full(numbers.shape, first, jnp.int32)
     lanes = Lane(sample, jax.vmap(fresh)(numbers, sample), (zero,) * SETS, jnp.zeros(numbers.shape, jnp.int32))
-    lanes = jax.lax.while_loop(lambda c: jnp.any(c.sample < last), lambda c: jax.vmap(step)(numbers, c), lanes)
-    return jnp.stack([s.array() for s in lanes.sums], 1), lanes.rays
+
+    @one_function
+    def loop(lanes: Lane) -> tuple[Any, Any]:
+        lanes = jax.lax.while_loop(lambda c: jnp.any(c.sample < last), lambda c: jax.vmap(step)(numbers, c), lanes)
+        return jnp.stack([s.array() for s in lanes.sums], 1), lanes.rays
+
+    return loop(lanes)
 
 
 def trace(world: World, view: View, depths: Depths, seed: Any, pixels: Any, first: Any, last: Any) -> tuple[Any, Any]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import os
 import time
 from collections.abc import Callable
@@ -13,6 +14,7 @@ import jax
 import numpy as np
 
 from .. import __version__
+from ..compiler import options
 from ..effects import Plan
 from ..effects import plan as make_plan
 from ..parts import SceneError
@@ -89,8 +91,11 @@ def render(
     key = np.asarray(seed_of(seed))
     began = time.perf_counter()
     first = np.arange(lanes, dtype=np.int32) % n
-    world = jax.block_until_ready(_prepare(scene, plan=plan))
-    program = _trace.lower(world, view, depths, key, first, np.int32(0), np.int32(1)).compile()
+    with ThreadPoolExecutor(2) as pool:  # the compiler runs without Python's lock
+        prepared = pool.submit(lambda: jax.block_until_ready(_prepare(scene, plan=plan)))
+        like = jax.eval_shape(functools.partial(prepare, plan=plan), scene)
+        program = _trace.lower(like, view, depths, key, first, np.int32(0), np.int32(1)).compile(options())
+        world = prepared.result()
     compiled = time.perf_counter()
 
     blocks = -(-n // lanes)
