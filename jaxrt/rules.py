@@ -69,7 +69,7 @@ def light_node(world: World, x: SurfacePoint, at: Shading, s: Stream | Drawn, pa
     """A direction drawn towards a light, and the light sample behind it. Uses pairs `pair` and `pair + 1`."""
     light = emitter.sample(world, x.position, s, pair)
     ok = light.pdf > 0
-    weight = reflected(world, at, light.w) * jnp.where(ok, 1.0 / jnp.where(ok, light.pdf, 1.0), 0.0)
+    weight = reflected(world, at, light.w) * jnp.where(ok, light.jacobian / jnp.where(ok, light.pdf, 1.0), 0.0)
     return Node(light.w, weight, light.pdf, ok & False, s), light
 
 

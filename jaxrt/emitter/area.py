@@ -13,6 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ..gradient.material import towards
 from ..radiometry import one_minus_cos
 from ..sampling import warp
 from ..sampling.sobol import Drawn, Stream
@@ -29,6 +30,7 @@ class LightSample(eqx.Module):
     radiance: Spectrum
     pdf: Any
     face: Any
+    jacobian: Any  # 1; carries derivatives, see gradient.material
 
 
 def _choose(world: World, u: Any) -> tuple[Any, Any]:
@@ -61,30 +63,24 @@ def _per_area(pdf_area: Any, distance2: Any, cos: Any) -> Any:
     return pdf_area * distance2 / jnp.maximum(cos, 1e-12)
 
 
-def _sphere_point(x: Vec3, row: Any, u: tuple[Any, Any]) -> tuple[Vec3, Any, Any]:
-    """A direction into the cone of a sphere (anywhere on it from inside): its point y, normal, and 1/σ or none."""
+def _sphere_normal(x: Vec3, row: Any, u: tuple[Any, Any]) -> tuple[Vec3, Any]:
+    """The outward normal where a direction into a sphere's cone meets it, and 1/σ; anywhere, and 0, from inside."""
     center, r2 = _vec(row, 0), dot(_vec(row, 3), _vec(row, 3))
     axis, d2, omc, outside = _cone(x, center, r2)
     local = warp.uniform_cone(u, omc)
     w = Frame.around(normalise(axis)).to_world(local)
-    distance = safe_sqrt(d2)
-    half = safe_sqrt(r2 - d2 * (1.0 - local.z) * (1.0 + local.z))
-    near = x + w * jnp.where(outside, distance * local.z - half, 0.0)
-    anywhere = center + warp.uniform_sphere(u) * safe_sqrt(r2)
-    y = where(outside, near, anywhere)
-    return y, normalise(y - center), jnp.where(outside, 1.0 / (2.0 * np.pi * omc), 0.0)
+    near = safe_sqrt(d2) * local.z - safe_sqrt(r2 - d2 * (1.0 - local.z) * (1.0 + local.z))
+    n = where(outside, normalise(x + w * near - center), warp.uniform_sphere(u))
+    return n, jnp.where(outside, 1.0 / (2.0 * np.pi * omc), 0.0)
 
 
-def _flat_point(kind: str, row: Any, u: tuple[Any, Any]) -> Vec3:
-    uv = {"triangle": warp.uniform_triangle, "parallelogram": lambda u: u, "disk": warp.uniform_disk}[kind](u)
-    return _vec(row, 0) + _vec(row, 3) * uv[0] + _vec(row, 6) * uv[1]
+def _cylinder_normal(row: Any, u: tuple[Any, Any]) -> Vec3:
+    axis, across = normalise(_vec(row, 3)), normalise(_vec(row, 6))
+    c, s = warp.circle(u[1])
+    return across * c + cross(axis, across) * s
 
 
-def _cylinder_point(row: Any, u: tuple[Any, Any]) -> tuple[Vec3, Vec3]:
-    o, axis, across = _vec(row, 0), _vec(row, 3), _vec(row, 6)
-    side, (c, s) = normalise(cross(normalise(axis), normalise(across))), warp.circle(u[1])
-    n = normalise(across) * c + side * s
-    return o + axis * u[0] + n * safe_sqrt(dot(across, across)), n
+FLAT_WARPS = {"triangle": warp.uniform_triangle, "parallelogram": lambda u: u, "disk": warp.uniform_disk}
 
 
 def sample(world: World, x: Vec3, s: Stream | Drawn, pair: int) -> LightSample:
@@ -94,36 +90,39 @@ def sample(world: World, x: Vec3, s: Stream | Drawn, pair: int) -> LightSample:
     index = _choose(world, s.pair_at(pair + 1)[0])[0] if plan.many_lights else 0
     row = _row(world.light_rows, index)
     face = row[13 + plan.channels].astype(jnp.int32)
+    moving, attached = x, row
     x, fixed = jax.lax.stop_gradient((x, [row[k] for k in range(13)]))
     front, density = _vec(fixed, 9), fixed[12]
-    y, normal, cone = None, None, jnp.zeros_like(x.x)
+    found = None
     for kind in plan.light_kinds:
         if kind == "sphere":
-            yk, nk, ck = _sphere_point(x, fixed, u)
-            nk = nk * _row(world.faces, face)[FACE["side"]]
+            n, cone = _sphere_normal(x, fixed, u)
+            radius = safe_sqrt(dot(_vec(attached, 3), _vec(attached, 3)))
+            one = (_vec(attached, 0) + n * radius, n * _row(world.faces, face)[FACE["side"]], n * radius * radius, cone)
         elif kind == "cylinder":
-            (yk, nk), ck = _cylinder_point(fixed, u), 0.0
-            nk = nk * _row(world.faces, face)[FACE["side"]]
+            n = _cylinder_normal(fixed, u)
+            axis, radius = _vec(attached, 3), safe_sqrt(dot(_vec(attached, 6), _vec(attached, 6)))
+            y, area = _vec(attached, 0) + axis * u[0] + n * radius, n * (radius * safe_sqrt(dot(axis, axis)))
+            one = (y, n * _row(world.faces, face)[FACE["side"]], area, 0.0 * u[0])
         else:
-            yk, nk, ck = _flat_point(kind, fixed, u), front, 0.0
-        if y is None or normal is None:
-            y, normal, cone = yk, nk, cone + ck
-        else:
-            here = face >= world.first(kind)
-            y, normal, cone = where(here, yk, y), where(here, nk, normal), jnp.where(here, ck, cone)
-    assert y is not None and normal is not None
+            e1, e2 = _vec(attached, 3), _vec(attached, 6)
+            uv = FLAT_WARPS[kind](u)
+            one = (_vec(attached, 0) + e1 * uv[0] + e2 * uv[1], front, cross(e1, e2), 0.0 * u[0])
+        found = one if found is None else where(face >= world.first(kind), one, found)
+    assert found is not None
+    y, normal, area, cone = found
+    w, jacobian = towards(moving, y, area)
+    y, fixed_w, normal = jax.lax.stop_gradient((y, w, normal))
     to = y - x
     d2 = dot(to, to)
-    inverse = jax.lax.rsqrt(jnp.where(d2 > 0, d2, 1.0))
-    w = to * inverse
-    cos = -dot(normal, w)
+    cos = -dot(normal, fixed_w)
     pdf = _per_area(density, d2, cos)
     if "sphere" in plan.light_kinds:
         area = 4.0 * np.pi * dot(_vec(fixed, 3), _vec(fixed, 3))
         pdf = jnp.where(cone > 0, density * area * cone, pdf)
     lit = (cos > 0) & (d2 > 0)
     radiance = Spectrum(tuple(jnp.where(lit, row[13 + c], 0.0) for c in range(plan.channels)))
-    return LightSample(w, d2 * inverse, radiance, jnp.where(lit, pdf, 0.0), face)
+    return LightSample(w, safe_sqrt(d2), radiance, jnp.where(lit, pdf, 0.0), face, jacobian)
 
 
 def density(world: World, x: Vec3, y: SurfacePoint, w: Vec3) -> Any:

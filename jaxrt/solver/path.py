@@ -19,7 +19,8 @@ from jax.lax import stop_gradient as sg
 from .. import emitter
 from ..casting import cast
 from ..compiler import one_function
-from ..rules import balance, light_node, reflection_density, reflection_node
+from ..gradient import material
+from ..rules import balance, light_node, reflected, reflection_density, reflection_node
 from ..sampling.sobol import Drawn, Stream, combine
 from ..scene import SensorStructure
 from ..sensor import camera, film
@@ -53,6 +54,8 @@ class PathState(eqx.Module):
     delta: Any  # whether d came from a delta lobe or the camera
     depth: Any  # edges so far
     alive: Any
+    before: Vec3 | None = None  # under differentiation: the point that reflected last, and its `slope`
+    slopes: tuple[Vec3, ...] | None = None
 
 
 def start(world: World, o: Vec3, d: Vec3) -> PathState:
@@ -85,6 +88,8 @@ def bounce(world: World, depths: Depths, state: PathState, s: Stream) -> PathSta
         share = sg(jnp.where(state.delta, 1.0, balance(state.pdf, emitter.density(world, state.o, x, state.d))))
     seen = state.alive & ~((state.depth == 0) & depths.hide_emitters)
     met = state.beta * radiance_of(world, x, wo) * share
+    if state.before is not None and state.slopes is not None and plan.lights:
+        met = met * material.met(world, state.before, x, state.slopes, seen & ~state.delta & (x.light_density > 0))
     radiance = state.radiance + met.map(lambda c: jnp.where(seen, c, 0.0))
     depth = state.depth + 1
     alive = state.alive & (x.face >= 0) & ((depth < depths.max_depth) | (depths.max_depth < 0))
@@ -107,7 +112,10 @@ def bounce(world: World, depths: Depths, state: PathState, s: Stream) -> PathSta
     survive = jnp.where(depth >= depths.rr_depth, jnp.clip(most, 0.0, 0.95), 1.0)
     alive = alive & (most > 0) & (s.pair_at(2)[1] < survive)
     beta = beta * (1.0 / jnp.where(survive > 0, survive, 1.0))
-    return PathState(leave(world, x, node.w), node.w, beta, radiance, node.pdf, node.delta, depth, alive)
+    follow = PathState(leave(world, x, node.w), node.w, beta, radiance, node.pdf, node.delta, depth, alive)
+    if state.before is None:
+        return follow
+    return replace(follow, before=x.position, slopes=material.slope(functools.partial(reflected, world), at, node.w))
 
 
 class View(eqx.Module):
@@ -220,6 +228,8 @@ def trace_fixed(world: World, view: View, max_depth: int, depths: Depths, seed: 
                 return bounce(world, depths, path, bounce_stream(s, path.depth)), None
 
             path = camera_start(world, view)(number, s)
+            none = Vec3(*(0.0 * c for c in path.o))
+            path = replace(path, before=none, slopes=(none,) * world.plan.channels)
             return jax.lax.scan(body, path, None, length=max(max_depth, 1))[0].radiance.array()
 
         return jax.vmap(one)(numbers)
