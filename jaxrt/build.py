@@ -103,11 +103,14 @@ def _material_rows(shapes: Sequence[Shape], channels: int, names: _Names) -> tup
         if id(outer) in index:
             continue
         inner = outer.bsdf if isinstance(outer, TwoSided) else outer
-        name = names.part(inner.id or outer.id or (f"{shape.id}.bsdf" if shape.id else "bsdf"))
+        name = names.part(outer.id or inner.id or (f"{shape.id}.bsdf" if shape.id else "bsdf"))
         row = len(rows)
         index[id(outer)] = row
         sides = isinstance(outer, TwoSided)
-        slot = lambda key, field, one=False: names.add(f"{name}.{key}", "materials", row, columns[field], one)
+
+        def slot(key: str, field: str, one: bool = False, name: str = name, row: int = row) -> None:
+            names.add(f"{name}.{key}", "materials", row, columns[field], one)
+
         if isinstance(inner, Diffuse):
             spread = _spread(inner.reflectance, channels, f"{name}.reflectance")
             rows.append(columns.row(LOBES["diffuse"].number, sides, reflectance=spread))
@@ -145,13 +148,13 @@ def build(
     if not shapes:
         raise SceneError(f"{source or 'scene'}: has no shapes; add at least one")
     enclosure, integrator = enclosure or Enclosure(), integrator or Integrator()
-    if channels is None:
-        channels = max([enclosure.radiance.size] + [v.size for s in shapes for v in _spectra(s)])
+    longest = max([enclosure.radiance.size] + [v.size for s in shapes for v in _spectra(s)])
+    c = longest if channels is None else channels
     names = _Names()
     ids = [names.part(s.id or type(s).__name__.lower()) for s in shapes]
-    materials, material_of = _material_rows(shapes, channels, names)
+    materials, material_of = _material_rows(shapes, c, names)
 
-    radiance, emitter_of = [np.zeros(channels), _spread(enclosure.radiance, channels, "enclosure.radiance")], {}
+    radiance, emitter_of = [np.zeros(c), _spread(enclosure.radiance, c, "enclosure.radiance")], {}
     names.add(f"{names.part(enclosure.id or 'enclosure')}.radiance", "radiance", 1)
     by_kind: dict[str, list[tuple[int, np.ndarray]]] = {k: [] for k in KINDS}
     vertices, normals, uvs, vertex_of, first = [], [], [], [], 0
@@ -164,7 +167,7 @@ def build(
             if wanted not in emitter_of:
                 emitter_of[wanted] = len(radiance)
                 names.add(f"{names.part(wanted)}.radiance", "radiance", len(radiance))
-                radiance.append(_spread(shape.emission, channels, f"{wanted}.radiance"))
+                radiance.append(_spread(shape.emission, c, f"{wanted}.radiance"))
             emitter = emitter_of[wanted]
         finish = (material_of[id(shape.bsdf)], emitter)
         if finish not in finishes:
@@ -189,7 +192,7 @@ def build(
     counts = [sum(len(rows) for _, rows in by_kind[kind]) for kind in KINDS]
     blocks = [bucket(n) for n in counts]
     face_shape, patches, layout, lights = [], [], [], []
-    for kind, count, block in zip(KINDS, counts, blocks, strict=True):
+    for kind, block in zip(KINDS, blocks, strict=True):
         owner, at, start = [], sum(blocks[: KINDS.index(kind)]), 0
         for k, rows in by_kind[kind]:
             owner.append(np.full(len(rows), k))
@@ -230,7 +233,7 @@ def build(
         shape_finish=i(shape_finish, rows),
         finishes=i(finishes, bucket(len(finishes))),
         materials=f(materials, (materials.shape[1],), bucket(len(materials))),
-        radiance=f(radiance, (channels,), bucket(len(radiance))),
+        radiance=f(radiance, (c,), bucket(len(radiance))),
         lights=i(lights, bucket(len(lights)), -1),
         sensor_to_world=f([s.to_world for s in sensors], (4, 4), len(sensors)),
         lens=f([(s.fov, s.near, s.far, s.aperture_radius, s.focus_distance) for s in sensors], (5,), len(sensors)),

@@ -7,11 +7,11 @@ from typing import Any
 
 import jax
 
-CPU_OPTIONS: dict[str, bool | int | str] = {"xla_cpu_prefer_vector_width": 512}
+CPU_OPTIONS: dict[str, str | bool] = {"xla_cpu_prefer_vector_width": "512"}
 """XLA keeps to vectors of 256 bits, which leaves a fifth of the speed of wide cores unused."""
 
 
-def options() -> dict[str, bool | int | str]:
+def options() -> dict[str, str | bool]:
     """Compiler options for the programs that `render` compiles itself."""
     return CPU_OPTIONS if jax.default_backend() == "cpu" else {}
 

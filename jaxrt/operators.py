@@ -13,17 +13,16 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 from .casting import Psi
 from .effects import plan as make_plan
 from .rules import BrdfRule, MisRule
 from .sampling.sobol import Stream, seed_of
 from .sampling.warp import cosine_hemisphere, uniform_disk, uniform_sphere, uniform_triangle
-from .scene import KINDS, Scene
+from .scene import Scene
 from .surface import SurfacePoint, radiance_of, surface_point
-from .vector import Frame, Spectrum, Vec3
-from .world import World, prepare
+from .vector import Frame, Spectrum, Vec3, cross, normalise, where
+from .world import World, face_areas, prepare
 
 Radiance = Callable[[SurfacePoint, Vec3, Stream], Spectrum]
 Operator = Callable[[Any], Any]
@@ -187,13 +186,7 @@ def surface_sample(world: World, s: Stream) -> tuple[SurfacePoint, Vec3, Any]:
 
     Both sides of every face count; the enclosure does not. Faces are chosen by area.
     """
-    areas = []
-    for k, kind in enumerate(KINDS):
-        rows = world.geometry[world.first(kind) : world.first(kind) + world.blocks[k]]
-        cross = jnp.linalg.norm(jnp.cross(rows[:, 3:6], rows[:, 6:9]), axis=-1)
-        factor = {"triangle": 0.5, "parallelogram": 1.0, "disk": np.pi, "sphere": 4 * np.pi, "cylinder": 2 * np.pi}
-        areas.append(cross * factor[kind])
-    cdf = jnp.cumsum(jnp.concatenate(areas))
+    cdf = jnp.cumsum(face_areas(world.geometry, world.blocks))
     choice, side = s.pair_at(0)
     face = jnp.minimum(jnp.searchsorted(cdf, choice * cdf[-1], side="right"), cdf.shape[0] - 1).astype(jnp.int32)
     row, u = world.geometry[face], s.pair_at(1)
@@ -201,12 +194,11 @@ def surface_sample(world: World, s: Stream) -> tuple[SurfacePoint, Vec3, Any]:
     k = jnp.searchsorted(jnp.cumsum(jnp.array(world.blocks)), face, side="right")
     ball = uniform_sphere(u)
     radius = jnp.linalg.norm(row[3:6])
-    places = [uniform_triangle(u), u, uniform_disk(u)]
-    a, b = (jnp.select([k == j for j in range(3)], [jnp.broadcast_to(p[i], choice.shape) for p in places]) for i in (0, 1))
+    places, is_kind = (uniform_triangle(u), u, uniform_disk(u)), [k == j for j in range(3)]
+    a, b = (jnp.select(is_kind, [jnp.broadcast_to(p[i], choice.shape) for p in places]) for i in (0, 1))
     y = o + e1 * a + e2 * b
-    flat = Frame.around(Vec3(*(jnp.cross(row[3:6], row[6:9]) / jnp.linalg.norm(jnp.cross(row[3:6], row[6:9])))))
-    n = Vec3(*(jnp.where(k == 3, p, q) for p, q in zip(ball, flat.n, strict=True)))
-    y = Vec3(*(jnp.where(k == 3, c + r * radius, p) for c, r, p in zip(o, ball, y, strict=True)))
+    n = where(k == 3, ball, normalise(cross(e1, e2)))
+    y = where(k == 3, o + ball * radius, y)
     x = surface_point(world, face, y + n, -n)
     local = cosine_hemisphere(s.pair_at(2))
     up = jnp.where(side < 0.5, 1.0, -1.0)

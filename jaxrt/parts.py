@@ -143,7 +143,8 @@ class Mesh(Shape):
         used[f] = True
         bad = np.flatnonzero(~np.isfinite(v).all(1) & used)
         check(bad.size == 0, name, f"vertex {bad[:1]} is not finite; repair the mesh")
-        self.vertices, self.faces = np.where(np.isfinite(v), v, 0.0), f.astype(np.int32)
+        self.vertices = v if np.isfinite(v).all() else np.where(np.isfinite(v), v, 0.0)
+        self.faces = np.asarray(f, np.int32)
         for key, width in (("normals", 3), ("uvs", 2)):
             a = getattr(self, key)
             if a is not None:
@@ -151,7 +152,7 @@ class Mesh(Shape):
                 check(a.shape == (len(v), width), f"{name}.{key}", f"have shape {a.shape}; give {(len(v), width)}")
                 bad = np.flatnonzero(~np.isfinite(a).all(1) & used)
                 check(bad.size == 0, f"{name}.{key}", f"number {bad[:1]} is not finite; repair the mesh")
-                setattr(self, key, np.where(np.isfinite(a), a, 0.0))
+                setattr(self, key, a if np.isfinite(a).all() else np.where(np.isfinite(a), a, 0.0))
 
 
 @dataclasses.dataclass(kw_only=True)
@@ -237,7 +238,8 @@ class Film:
             n = getattr(self, key)
             check(int(n) == n and 0 < n <= 1 << 15, f"film.{key}", f"is {n}; give a whole number from 1 to 32768")
             setattr(self, key, int(n))
-        check(self.filter in ("box", "tent", "gaussian"), "film.filter", f"{self.filter!r} is not box, tent or gaussian")
+        known = self.filter in ("box", "tent", "gaussian")
+        check(known, "film.filter", f"{self.filter!r} is not box, tent or gaussian")
         if self.radius is None:
             self.radius = {"box": 0.5, "tent": 1.0, "gaussian": 4 * self.stddev}[self.filter]
         check(np.isfinite(self.radius) and self.radius > 0, "film.radius", "is not positive")

@@ -127,8 +127,9 @@ class Scene(eqx.Module):
         return sum(self.blocks)
 
     def __repr__(self) -> str:
-        kinds = [f"{stop - start} {kind} {name}" for name, kind, start, stop in self.structure.shapes]
-        return f"Scene({self.structure.source or 'from parts'}: {', '.join(kinds[:8])}{', …' if len(kinds) > 8 else ''})"
+        shapes = [f"{name} ({stop - start} {kind})" for name, kind, start, stop in self.structure.shapes]
+        more = [f"and {len(shapes) - 8} more"] if len(shapes) > 8 else []
+        return f"Scene({self.structure.source or 'from parts'}: {', '.join(shapes[:8] + more)})"
 
 
 def params(scene: Scene) -> dict[str, Array]:

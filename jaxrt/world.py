@@ -72,20 +72,19 @@ def _unit(v: Any) -> Any:
     return v * jax.lax.rsqrt(jnp.where(n > 0, n, 1.0))
 
 
-def _face_geometry(scene: Scene, plan: Plan) -> tuple[Any, Any, Any, list[Any]]:
-    """(origin, e₁, e₂) of every face in world space, its side, its area, and the columns a plan adds."""
+def _face_geometry(scene: Scene, plan: Plan) -> tuple[Any, Any, list[Any]]:
+    """(origin, e₁, e₂) of every face in world space, its side, and the columns a plan adds."""
     to_world = scene.to_world[scene.face_shape]
     linear, shift = to_world[:, :3, :3], to_world[:, :3, 3]
     apply = lambda m, v: jnp.einsum("pij,pj->pi", m, v, precision="highest")
     normal_matrix, det = _normals_matrix(to_world)
     mirrored = jnp.where(det < 0, -1.0, 1.0)
-    geometry, sides, areas, normals, tangents = [], [], [], [], []
-    for number, (kind, n) in enumerate(zip(KINDS, scene.blocks, strict=True)):
+    geometry, sides, normals, tangents = [], [], [], []
+    for kind, n in zip(KINDS, scene.blocks, strict=True):
         if n == 0:
             continue
         start = scene.offset(kind)
         at = slice(start, start + n)
-        used = jnp.arange(n) < scene.counts[number]
         m, t, cof = linear[at], shift[at], normal_matrix[at]
         if kind == "triangle":
             corner = [apply(m, scene.vertices[scene.triangles[:, j]]) + t for j in range(3)]
@@ -100,9 +99,6 @@ def _face_geometry(scene: Scene, plan: Plan) -> tuple[Any, Any, Any, list[Any]]:
                 a = apply(m, p[:, 3:6] - p[:, 0:3])
                 b = _unit(_across(a)) * jnp.linalg.norm(m[:, :, 0], axis=-1, keepdims=True) * p[:, 6:7]
             sides.append(mirrored[at] if kind in ("parallelogram", "disk") else jnp.ones(n))
-        cross = jnp.linalg.norm(jnp.where(used[:, None], jnp.cross(a, b), 1.0), axis=-1)
-        factor = {"triangle": 0.5, "parallelogram": 1.0, "disk": np.pi, "sphere": 4 * np.pi, "cylinder": 2 * np.pi}
-        areas.append(jnp.where(used, factor[kind] * cross, 0.0))
         geometry.append(jnp.concatenate([o, a, b], -1))
         if plan.smooth_normals:
             shading = jnp.zeros((n, 3, 3))
@@ -113,12 +109,19 @@ def _face_geometry(scene: Scene, plan: Plan) -> tuple[Any, Any, Any, list[Any]]:
             tangents.append(_tangent(scene, a, b) if kind == "triangle" else a)
     side = jnp.concatenate(sides) * scene.flip[scene.face_shape]
     extra = ([jnp.concatenate(normals)] if normals else []) + ([jnp.concatenate(tangents)] if tangents else [])
-    return jnp.concatenate(geometry), side, jnp.concatenate(areas), extra
+    return jnp.concatenate(geometry), side, extra
 
 
 def safe_norm(a: Any) -> Any:
     n = jnp.sum(a * a, -1)
     return jnp.where(n > 0, jnp.sqrt(jnp.where(n > 0, n, 1.0)), 0.0)
+
+
+def face_areas(geometry: Any, blocks: tuple[int, ...]) -> Any:
+    """Area of every face (m²); 0 for padding."""
+    factors = {"triangle": 0.5, "parallelogram": 1.0, "disk": np.pi, "sphere": 4 * np.pi, "cylinder": 2 * np.pi}
+    factor = np.repeat([factors[kind] for kind in KINDS], blocks)
+    return safe_norm(jnp.cross(geometry[:, 3:6], geometry[:, 6:9])) * jnp.asarray(factor, geometry.dtype)
 
 
 def _across(a: Any) -> Any:
@@ -152,7 +155,8 @@ def _bounds(scene: Scene, geometry: Any) -> tuple[Any, Any, Any]:
 def prepare(scene: Scene, plan: Plan) -> World:
     """The world of a scene under a plan. Pure; the search structure carries no derivatives."""
     sg = jax.lax.stop_gradient
-    geometry, side, area, extra = _face_geometry(scene, plan)
+    geometry, side, extra = _face_geometry(scene, plan)
+    area = sg(face_areas(geometry, scene.blocks))
     center, radius, reach = _bounds(scene, sg(geometry))
     finish = scene.shape_finish[scene.face_shape].astype(geometry.dtype)
 
@@ -160,13 +164,13 @@ def prepare(scene: Scene, plan: Plan) -> World:
     face = jnp.where(scene.lights >= 0, scene.lights, 0)
     shape = scene.face_shape[face]
     power = sg(area[face] * scene.radiance[scene.finishes[scene.shape_finish[shape], 1]].mean(-1))
-    real = (scene.lights >= 0) & (sg(area)[face] > 0)
+    real = (scene.lights >= 0) & (area[face] > 0)
     n = jnp.maximum(real.sum(), 1)
     total = jnp.where(real, power, 0).sum()
     chance = jnp.where(total > 0, 0.95 * power / jnp.where(total > 0, total, 1.0) + 0.05 / n, 1.0 / n)
     chance = jnp.where(real, chance, 0.0)
     density = jnp.zeros(scene.faces).at[jnp.where(real, scene.lights, scene.faces)].add(
-        chance / jnp.where(real, sg(area)[face], 1.0), mode="drop"
+        chance / jnp.where(real, area[face], 1.0), mode="drop"
     )
 
     o = geometry[:, :3] - sg(center)

@@ -86,7 +86,7 @@ def _picture_jvp(primals: Any, tangents: Any) -> Any:
     world, view, depths, seed, pixels, spp, depth = primals
     if depth < 0:
         raise ValueError(
-            "measure: derivatives need a finite number of bounces; give max_depth= (as Mitsuba counts: 1 is emission only)"
+            "measure: derivatives need a finite number of bounces; give max_depth= (1 is emission only)"
         )
 
     lanes = max(1, WIDE // pixels.shape[1]) * pixels.shape[1]

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-_POOL = np.array([1.0, 2.0, 1.0]) / 4.0
+_POOL = (0.25, 0.5, 0.25)
 
 
 def standard_error(sums: np.ndarray, counts: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
@@ -30,12 +30,17 @@ def standard_error(sums: np.ndarray, counts: np.ndarray, shape: tuple[int, int])
     variance = (n * (means - mean) ** 2).sum(1) / (used.sum() - 1) / total
     v = variance.reshape(height, width, -1)
     for axis in (0, 1):
-        edge = [(1, 1) if a == axis else (0, 0) for a in range(3)]
-        weight = np.pad(np.ones_like(v), edge)
-        padded = np.pad(v, edge)
-        take = lambda a, k, axis=axis: np.take(a, np.arange(k, k + v.shape[axis]), axis)  # noqa: B023
-        v = sum(_POOL[k] * take(padded, k) for k in range(3)) / sum(_POOL[k] * take(weight, k) for k in range(3))
+        v = _pooled(v, axis) / _pooled(np.ones_like(v), axis)
     return np.sqrt(v)
+
+
+def _pooled(v: np.ndarray, axis: int) -> np.ndarray:
+    """Binomial average of neighbours along an axis, with nothing beyond the edge."""
+    before, after = np.zeros_like(v), np.zeros_like(v)
+    most, least = [slice(None)] * 3, [slice(None)] * 3
+    most[axis], least[axis] = slice(1, None), slice(None, -1)
+    before[tuple(most)], after[tuple(least)] = v[tuple(least)], v[tuple(most)]
+    return _POOL[0] * before + _POOL[1] * v + _POOL[2] * after
 
 
 def relative_mse(image: Any, reference: Any) -> float:
