@@ -120,7 +120,7 @@ def _material_rows(shapes: Sequence[Shape], channels: int, names: _Names) -> tup
             lobe = LOBES["ggx" if rough else "mirror"].number
             values = {k: _spread(getattr(inner, k), channels, f"{name}.{k}") for k in ("eta", "k")}
             values["reflectance"] = _spread(inner.specular_reflectance, channels, f"{name}.specular_reflectance")
-            rows.append(columns.row(lobe, sides, alpha=np.maximum(inner.alpha, 1e-3) if rough else 0.0, **values))
+            rows.append(columns.row(lobe, sides, alpha=np.maximum(inner.alpha, 1e-3) if rough else 1.0, **values))
             slot("specular_reflectance", "reflectance")
             slot("eta", "eta")
             slot("k", "k")

@@ -30,6 +30,9 @@ class _MistakeError(Exception):
 
 
 class _Parser(argparse.ArgumentParser):
+    def __init__(self, **kwargs: Any):
+        super().__init__(**kwargs, allow_abbrev=False)  # so that a new option never breaks an old command
+
     def error(self, message: str) -> NoReturn:
         raise _MistakeError(f"{message}; see {self.prog} --help")
 

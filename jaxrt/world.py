@@ -173,7 +173,7 @@ def prepare(scene: Scene, plan: Plan) -> World:
         chance / jnp.where(real, area[face], 1.0), mode="drop"
     )
 
-    o = geometry[:, :3] - sg(center)
+    o = geometry[:, :3] - sg(center)[None]
     maps = affine(o, geometry[:, 3:6], geometry[:, 6:9])
     n, height, u, v = maps[:, :3] * side[:, None], maps[:, 3] * side, maps[:, 4:8], maps[:, 8:12]
     if sum(scene.blocks[3:]):

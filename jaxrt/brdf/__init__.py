@@ -36,6 +36,7 @@ class MaterialColumns:
 
     def row(self, lobe: int, twosided: bool = False, **fields: Any) -> np.ndarray:
         row = np.zeros(self.width)
+        row[slice(*self.at["alpha"])] = 1.0  # lobes that do not use a row still evaluate it, and must stay finite
         row[slice(*self.at["lobe"])], row[slice(*self.at["twosided"])] = lobe, twosided
         for name, value in fields.items():
             row[slice(*self.at[name])] = value

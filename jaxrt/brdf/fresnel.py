@@ -15,6 +15,7 @@ def conductor(eta: Spectrum, k: Spectrum, cos_theta: Any) -> Spectrum:
     eta 0 and k 1 reflect exactly 1. The root of a difference is taken in the form that does not cancel,
     which also keeps the derivative with respect to η finite at η = 0.
     """
+    cos_theta = jnp.maximum(cos_theta, 0.0)
     c2 = cos_theta * cos_theta
     s2 = jnp.maximum(1.0 - c2, 0.0)
 

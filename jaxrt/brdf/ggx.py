@@ -31,11 +31,16 @@ def _lambda(m: Any, w: Vec3) -> Any:
     return safe_sqrt((ax * w.x) ** 2 + (ay * w.y) ** 2 + w.z * w.z)
 
 
+def _positive(x: Any) -> Any:
+    """x, or 1 where x is no use as a denominator: directions below the surface, whose value is dropped."""
+    return jnp.where(x > 1e-12, x, 1.0)  # its inverse square is finite in float32
+
+
 def eval(m: Any, wi: Vec3, wo: Vec3) -> Spectrum:
     h = normalise(wi + wo)
     cos_d = jnp.clip(dot(h, wo), 0.0, 1.0)
     # G₂/(4 cosθ_i cosθ_o) without forming the quotient of small numbers
-    g = 0.5 / jnp.maximum(wi.z * _lambda(m, wo) + wo.z * _lambda(m, wi), 1e-30)
+    g = 0.5 / _positive(wi.z * _lambda(m, wo) + wo.z * _lambda(m, wi))
     return m.reflectance * conductor(m.eta, m.k, cos_d) * (_distribution(m, h) * g)
 
 
@@ -63,7 +68,7 @@ def sample(m: Any, wo: Vec3, u: tuple[Any, Any]) -> Vec3:
 def pdf(m: Any, wi: Vec3, wo: Vec3) -> Any:
     h = normalise(wi + wo)
     t = _lambda(m, wo)
-    return _distribution(m, h) / jnp.maximum(2.0 * (_bound(m, wo) * wo.z + t), 1e-30)
+    return _distribution(m, h) / _positive(2.0 * (_bound(m, wo) * wo.z + t))
 
 
 LOBE = Lobe("ggx", 2, ("alpha", "reflectance", "eta", "k"), sample, eval, pdf)

@@ -69,12 +69,11 @@ def emitter_point(world: World, x: SurfacePoint) -> tuple[Vec3, Vec3]:
 def slope(reflected: Any, at: Shading, w: Vec3) -> tuple[Vec3, ...]:
     """∇ log(f_r cosθ) with respect to ω_i, for each channel; `reflected(at, w)` is f_r cosθ."""
     at, w = sg((at, w))
-
-    def one(c: int) -> Vec3:
-        value, gradient = jax.value_and_grad(lambda v: jnp.sum(reflected(at, v).channels[c]))(w)
-        return gradient * (1.0 / jnp.where(value > 0, value, 1.0))
-
-    return sg(tuple(one(c) for c in range(len(reflected(at, w).channels))))
+    value, along = jax.linearize(lambda v: reflected(at, v), w)
+    one, zero = jnp.ones_like(w.x), jnp.zeros_like(w.x)
+    changes = [along(Vec3(*(one if k == axis else zero for k in range(3)))).channels for axis in range(3)]
+    inverse = [1.0 / jnp.where(v > 0, v, 1.0) for v in value.channels]
+    return sg(tuple(Vec3(*(change[c] for change in changes)) * k for c, k in enumerate(inverse)))
 
 
 def met(world: World, before: Vec3, x: SurfacePoint, slopes: tuple[Vec3, ...], direct: Any) -> Spectrum:

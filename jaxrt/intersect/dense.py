@@ -39,7 +39,7 @@ class Dense(eqx.Module):
         table = jnp.concatenate([maps, (slack * steep)[:, None]], -1)
         starts = [sum(blocks[:k]) for k in range(6)]
         flat = [table[starts[k] : starts[k + 1]] for k in range(3)]
-        o, a, b = geometry[:, :3] - center, geometry[:, 3:6], geometry[:, 6:9]
+        o, a, b = geometry[:, :3] - center[None], geometry[:, 3:6], geometry[:, 6:9]
         ball, tube = slice(starts[3], starts[4]), slice(starts[4], starts[5])
         l2 = jnp.sum(a[tube] ** 2, -1, keepdims=True)
         used = l2 > 0
