@@ -95,7 +95,7 @@ def bounce(world: World, depths: Depths, state: PathState, s: Stream) -> PathSta
     alive = state.alive & (x.face >= 0) & ((depth < depths.max_depth) | (depths.max_depth < 0))
     if not plan.bounces:
         return replace(state, radiance=radiance, depth=depth, alive=alive & False)
-    at, radiance = world.settle((shading_at(world, x, wo), radiance))
+    at = shading_at(world, x, wo)
     # Direct light by a light sample, weighted against reflection.
     if plan.lights:
         node, light = world.settle(light_node(world, x, at, s))
@@ -194,7 +194,9 @@ def run(world: World, depths: Depths, seed: Any, numbers: Any, begin: Any, first
             for k, total in enumerate(lane.sums)
         )
         sample = lane.sample + ended.astype(lane.sample.dtype)
-        path = world.settle(where(ended, fresh(number, sample), path))
+        path = where(ended, fresh(number, sample), path)
+        o, d = world.settle((path.o, path.d))
+        path = replace(path, o=o, d=d)
         s = bounce_stream(sample_stream(seed, number, sample), path.depth)
         rays = lane.rays + jnp.where(sample < last, rays_a_bounce, 0)
         return Lane(sample, bounce(world, depths, path, s), sums, rays)

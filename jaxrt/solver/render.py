@@ -51,6 +51,12 @@ def _lanes(pixels: int, threads: int, chunk: int) -> int:
     return min(size, chunk)
 
 
+def _tiles(width: int, height: int, side: int = 16) -> np.ndarray:
+    """Pixels (row · width + column) tile by tile: a program ends with its longest lane, and neighbours are alike."""
+    row, column = np.divmod(np.arange(width * height, dtype=np.int32), width)
+    return np.lexsort((column, row, column // side, row // side)).astype(np.int32)
+
+
 def render(
     scene: Scene,
     spp: int | None = None,
@@ -90,7 +96,8 @@ def render(
     depths = numbers(path.Depths(np.int32(depths.max_depth), np.int32(depths.rr_depth), np.bool_(depths.hide_emitters)))
     key = np.asarray(seed_of(seed))
     began = time.perf_counter()
-    first = np.arange(lanes, dtype=np.int32) % n
+    order = _tiles(width, height)
+    first = np.resize(order, lanes)
     with ThreadPoolExecutor(2) as pool:  # the compiler runs without Python's lock
         prepared = pool.submit(lambda: jax.block_until_ready(_prepare(scene, plan=plan)))
         like = jax.eval_shape(functools.partial(prepare, plan=plan), scene)
@@ -108,9 +115,9 @@ def render(
         nonlocal done
         block, (a, b) = job
         start, stop = block * lanes, min((block + 1) * lanes, n)
-        pixels = (np.arange(start, start + lanes, dtype=np.int32)) % n
+        pixels = np.resize(order[start:stop], lanes)
         values, cast = program(world, view, depths, key, pixels, np.int32(a), np.int32(b))
-        sums[start:stop] += np.asarray(values, np.float64)[: stop - start]
+        sums[order[start:stop]] += np.asarray(values, np.float64)[: stop - start]
         rays[block] += int(np.asarray(cast, np.int64)[: stop - start].sum())
         done += 1
         if progress:

@@ -1,0 +1,19 @@
+"""What every test shares: strict rank promotion, keys, and no deadlines for programs that compile on first use."""
+
+import itertools
+from collections.abc import Callable
+
+import hypothesis
+import jax
+import pytest
+
+jax.config.update("jax_numpy_rank_promotion", "raise")
+hypothesis.settings.register_profile("jaxrt", deadline=None, suppress_health_check=[hypothesis.HealthCheck.too_slow])
+hypothesis.settings.load_profile("jaxrt")
+
+
+@pytest.fixture
+def getkey() -> Callable[[], jax.Array]:
+    """A function that gives another key each time it is called, and the same ones in every run."""
+    counter = itertools.count()
+    return lambda: jax.random.key(next(counter))
