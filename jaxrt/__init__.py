@@ -1,50 +1,88 @@
 """jaxrt: how light settles in a scene, how wrong the answer is, and how it changes."""
 
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
 __version__ = "0.1.0"
 
-from . import radiometry
-from .effects import Plan, plan
-from .loading import load
-from .operators import (
-    D,
-    G,
-    K,
-    T,
-    add,
-    adjoint,
-    compose,
-    emission,
-    estimate,
-    inner,
-    neumann,
-    norm,
-    psi,
-    sub,
-)
-from .parts import (
-    Conductor,
-    Cube,
-    Cylinder,
-    Diffuse,
-    Disk,
-    Enclosure,
-    Film,
-    Integrator,
-    Mesh,
-    Rectangle,
-    SceneError,
-    Sensor,
-    Sphere,
-    TwoSided,
-)
-from .rules import BrdfRule, LightRule, MisRule, QuadratureRule
-from .sampling.sobol import Stream
-from .scene import Scene, params, with_params
-from .solver.measure import irradiance, measure, radiance
-from .solver.render import render, resized
-from .solver.solution import Solution, relative_mse
-from .surface import SurfacePoint
-from .vector import Spectrum, Vec3
+if TYPE_CHECKING:
+    from . import radiometry
+    from .effects import Plan, plan
+    from .loading import load
+    from .operators import (
+        D,
+        G,
+        K,
+        T,
+        add,
+        adjoint,
+        compose,
+        emission,
+        estimate,
+        inner,
+        neumann,
+        norm,
+        psi,
+        sub,
+    )
+    from .parts import (
+        Conductor,
+        Cube,
+        Cylinder,
+        Diffuse,
+        Disk,
+        Enclosure,
+        Film,
+        Integrator,
+        Mesh,
+        Rectangle,
+        SceneError,
+        Sensor,
+        Sphere,
+        TwoSided,
+    )
+    from .rules import BrdfRule, LightRule, MisRule, QuadratureRule
+    from .sampling.sobol import Stream
+    from .scene import Scene, params, with_params
+    from .solver.measure import irradiance, measure, radiance
+    from .solver.render import render, resized
+    from .solver.solution import Solution, relative_mse
+    from .surface import SurfacePoint
+    from .vector import Spectrum, Vec3
+
+# Names are imported when they are first used: `jaxrt --help` and mistakes in a command come without jax.
+_HOMES = {
+    "effects": "Plan plan",
+    "loading": "load",
+    "operators": "D G K T add adjoint compose emission estimate inner neumann norm psi sub",
+    "parts": "Conductor Cube Cylinder Diffuse Disk Enclosure Film Integrator Mesh Rectangle SceneError Sensor Sphere"
+    " TwoSided",
+    "rules": "BrdfRule LightRule MisRule QuadratureRule",
+    "sampling.sobol": "Stream",
+    "scene": "Scene params with_params",
+    "solver.measure": "irradiance measure radiance",
+    "solver.render": "render resized",
+    "solver.solution": "Solution relative_mse",
+    "surface": "SurfacePoint",
+    "vector": "Spectrum Vec3",
+}
+_HOME = {name: module for module, names in _HOMES.items() for name in names.split()}
+
+
+def __getattr__(name: str) -> Any:
+    if name == "radiometry":
+        return importlib.import_module(".radiometry", __name__)
+    if name not in _HOME:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    value = globals()[name] = getattr(importlib.import_module(f".{_HOME[name]}", __name__), name)
+    return value
+
+
+def __dir__() -> list[str]:
+    return __all__
+
 
 __all__ = [
     "BrdfRule",

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from .brdf import LOBES, MaterialColumns
@@ -215,8 +214,9 @@ def build(
             names.add(f"{name}.{key}", "lens", k, (column, column + 1), True)
 
     real = np.float64 if jax.config.jax_enable_x64 else np.float32  # pyright: ignore[reportAttributeAccessIssue]
-    f = lambda a, shape, n, fill=0.0: jnp.asarray(_padded(np.array(a, real).reshape(-1, *shape), n, fill))
-    i = lambda a, n, fill=0: jnp.asarray(_padded(np.array(a, np.int32), n, fill))
+    put = jax.device_put  # unlike jnp.asarray, compiles nothing for a new shape
+    f = lambda a, shape, n, fill=0.0: put(_padded(np.array(a, real).reshape(-1, *shape), n, fill))
+    i = lambda a, n, fill=0: put(_padded(np.array(a, np.int32), n, fill))
     join = lambda parts, width: np.concatenate([np.zeros((0, width)), *parts])
     rows, pad = bucket(len(shapes)), bucket(first)
     to_world = f([s.to_world for s in shapes], (4, 4), rows)
@@ -226,8 +226,8 @@ def build(
         uvs=f(join(uvs, 2), (2,), pad),
         triangles=i(np.concatenate([np.zeros((0, 3), int), *(r for _, r in by_kind["triangle"])]), blocks[0]),
         patches=f(join(patches, 9), (9,), sum(blocks[1:])),
-        face_shape=jnp.asarray(np.concatenate(face_shape).astype(np.int32)),
-        counts=jnp.asarray(np.array(counts, np.int32)),
+        face_shape=put(np.concatenate(face_shape).astype(np.int32)),
+        counts=put(np.array(counts, np.int32)),
         to_world=to_world,
         flip=f([-1.0 if s.flip_normals else 1.0 for s in shapes], (), rows, 1.0),
         shape_finish=i(shape_finish, rows),

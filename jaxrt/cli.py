@@ -368,6 +368,9 @@ def _use_cache() -> None:
     for name, value in wanted.items():
         with contextlib.suppress(AttributeError):  # a jax without that option
             jax.config.update(name, value)
+    from . import compiler
+
+    compiler.folder = _cache_folder() / "programs"
     warnings.filterwarnings("ignore", "Error (reading|writing) persistent compilation cache")  # a full disk
 
 

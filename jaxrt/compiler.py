@@ -1,8 +1,14 @@
-"""What XLA has to be told about loops over lanes."""
+"""Compiled programs: what XLA has to be told about loops over lanes, and how programs are kept."""
 
 from __future__ import annotations
 
+import functools
+import hashlib
+import os
+import pickle
+import platform
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -10,17 +16,95 @@ import jax
 CPU_OPTIONS: dict[str, str | bool] = {"xla_cpu_prefer_vector_width": "512"}
 """XLA keeps to vectors of 256 bits, which leaves a fifth of the speed of wide cores unused."""
 
+folder: Path | None = None
+"""Where finished programs are kept from process to process; None keeps none. The command line sets it.
 
-def options() -> dict[str, str | bool]:
-    """Compiler options for the programs that `render` compiles itself."""
-    return CPU_OPTIONS if jax.default_backend() == "cpu" else {}
+JAX's own cache keeps what XLA made of a program, but the program is traced and lowered before it is found,
+which for a path tracer takes longer than many a picture.
+"""
+
+_programs: dict[Any, Callable[..., Any]] = {}
+
+
+def programs() -> int:
+    """How many programs this process has made or loaded."""
+    return len(_programs)
+
+
+def program(f: Callable[..., Any], *like: Any) -> Callable[..., Any]:
+    """f compiled for arguments like these (arrays or shapes); equal structures and shapes share one program."""
+    leaves, tree = jax.tree.flatten(like)
+    shapes = tuple((tuple(leaf.shape), str(leaf.dtype)) for leaf in leaves)
+    key = (f, tree, shapes)
+    if key not in _programs:
+        _programs[key] = _make(f, leaves, tree, _file(f, tree, shapes))
+    return _programs[key]
+
+
+def _make(f: Callable[..., Any], leaves: list[Any], tree: Any, file: Path | None) -> Callable[..., Any]:
+    from jax.experimental import serialize_executable
+
+    compiled, out = None, None
+    if file is not None and file.exists():
+        try:
+            kept, out = pickle.loads(file.read_bytes())
+            compiled = serialize_executable.deserialize_and_load(*kept)
+        except Exception:  # a damaged or foreign file: made anew below
+            compiled = None
+    if compiled is None:
+        trees: list[Any] = []
+
+        def flat(*leaves: Any) -> list[Any]:
+            values, structure = jax.tree.flatten(f(*jax.tree.unflatten(tree, leaves)))
+            trees.append(structure)
+            return values
+
+        options = CPU_OPTIONS if jax.default_backend() == "cpu" else {}
+        compiled = jax.jit(flat).lower(*leaves).compile(options)
+        out = trees[0]
+        if file is not None:
+            _keep(file, pickle.dumps((serialize_executable.serialize(compiled), out)))
+    run = compiled
+    return lambda *args: jax.tree.unflatten(out, run(*jax.tree.leaves(args)))
+
+
+def _keep(file: Path, data: bytes) -> None:
+    try:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        part = file.with_suffix(f".{os.getpid()}")
+        part.write_bytes(data)
+        os.replace(part, file)
+    except OSError:  # a full disk or a folder that cannot be written costs time, not the picture
+        pass
+
+
+@functools.cache
+def _circumstances() -> str:
+    """What a kept program depends on besides its arguments: our source, jax, and the processor."""
+    source = hashlib.sha256()
+    for path in sorted(Path(__file__).parent.rglob("*.py")):
+        source.update(path.read_bytes())
+    flags = ""
+    if Path("/proc/cpuinfo").exists():
+        flags = next((line for line in Path("/proc/cpuinfo").read_text().splitlines() if line.startswith("flags")), "")
+    device = jax.devices()[0]
+    parts = (source.hexdigest(), jax.__version__, device.client.platform_version, device.device_kind, flags)
+    return repr((*parts, platform.machine(), jax.config.jax_enable_x64))  # pyright: ignore[reportAttributeAccessIssue]
+
+
+def _file(f: Callable[..., Any], tree: Any, shapes: Any) -> Path | None:
+    if folder is None:
+        return None
+    text = repr((f.__module__, f.__qualname__, str(tree), shapes, CPU_OPTIONS, _circumstances()))
+    return folder / f"{hashlib.sha256(text.encode()).hexdigest()}.program"
 
 
 def one_function(f: Callable[..., Any]) -> Callable[..., Any]:
     """f compiled for the CPU into one function on one thread, where XLA would queue each of its kernels.
 
-    A bounce is some hundred short kernels over 8k lanes; queueing them doubles the time on jax 0.10. XLA does
+    A bounce is some hundred short kernels over the lanes; queueing them doubles the time on jax 0.10. XLA does
     this by itself for small loops (its `small_call`); we ask for it, and use cores by running several programs.
+    The loop has to be a real one: XLA aborts where it can take the whole call apart beforehand.
     """
     inner = jax.jit(f)
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from .brdf import LOBES, MaterialColumns
 from .parts import SceneError
-from .scene import KINDS, Scene, SensorStructure
+from .scene import CAMERAS, KINDS, Scene
 
 
 @dataclasses.dataclass(frozen=True)
@@ -34,7 +34,6 @@ class Plan:
     many_lights: bool
     enclosure: bool
     bounces: bool
-    sensors: tuple[SensorStructure, ...]
     backend: str
     out_channels: int
     reasons: tuple[tuple[str, bool, str], ...] = dataclasses.field(default=(), compare=False)
@@ -144,7 +143,8 @@ def plan(scene: Scene, free: str | Iterable[str] | None = (), **overrides: bool)
 
     n_lights = sum(map(len, emitting.values()))
     say: Callable[[bool, str, str], str] = lambda on, yes, no: yes if on else no
-    films = sorted({s.film[2] for s in structure.sensors})
+    films, cameras = {s.film[2] for s in structure.sensors}, {s.kind for s in structure.sensors}
+    used = lambda on, what: f"a {what} uses it" if on else f"no {what}"
     reasons = [
         ("rgb", chosen["rgb"], say(chosen["rgb"], f"{scene.channels} channels", "grey: one channel")),
         *((k, k in kinds, f"{view.counts[KINDS.index(k)]} faces") for k in KINDS),
@@ -156,11 +156,8 @@ def plan(scene: Scene, free: str | Iterable[str] | None = (), **overrides: bool)
         ("light_selection", n_lights > 1, say(n_lights > 1, "by power", "at most one emitting face")),
         ("enclosure", chosen["enclosure"], say(enclosure, "constant radiance", "black")),
         ("bounces", chosen["bounces"], say(bounces, "surfaces reflect", "every reflectance is 0")),
-        *(
-            (f"sensor:{k}", any(s.kind == k for s in structure.sensors), "")
-            for k in ("perspective", "thinlens", "orthographic")
-        ),
-        *((f"film:{k}", k in films, "") for k in ("box", "tent", "gaussian")),
+        *((f"sensor:{k}", k in cameras, used(k in cameras, "sensor")) for k in CAMERAS),
+        *((f"film:{k}", k in films, used(k in films, "film")) for k in ("box", "tent", "gaussian")),
     ]
     wanted = {f for name in lobes for f in LOBES[name].fields}
     if len(lobes) > 1:
@@ -179,7 +176,6 @@ def plan(scene: Scene, free: str | Iterable[str] | None = (), **overrides: bool)
         many_lights=n_lights > 1,
         enclosure=chosen["enclosure"],
         bounces=chosen["bounces"],
-        sensors=structure.sensors,
         backend="dense",
         out_channels=scene.channels,
         reasons=tuple(reasons),

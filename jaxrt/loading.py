@@ -16,7 +16,7 @@ from .parts import Description, Mesh
 from .scene import Scene
 
 
-def load(path: str | Path, **defaults: Any) -> Scene:
+def load(path: str | Path, /, **defaults: Any) -> Scene:
     """A scene from a Mitsuba 3 `.xml`, or a `.glb`, `.gltf`, `.obj` or `.ply`; `defaults` fill $names of an XML.
 
     Colours become linear RGB, three channels. What a loader had to replace or ignore is said on stderr.

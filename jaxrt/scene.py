@@ -24,6 +24,9 @@ KINDS = ("triangle", "parallelogram", "disk", "sphere", "cylinder")
 """Kinds of faces, in the order in which faces are numbered. A face is a surface that a ray meets in one piece."""
 
 
+CAMERAS = ("perspective", "thinlens", "orthographic")
+
+
 @dataclasses.dataclass(frozen=True)
 class Slot:
     """Where a parameter lives: `leaf[row]`, columns start:stop; `one`: a single number, the same in all of them."""

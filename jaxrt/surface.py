@@ -58,7 +58,8 @@ def _cylinder(foot: Vec3, radius: Any, axis: Vec3, o: Vec3, d: Vec3, least: Any)
     s, inverse = o - foot, 1.0 / dot(axis, axis)
     so, across = s - axis * (dot(s, axis) * inverse), d - axis * (dot(d, axis) * inverse)
     a, b, c = dot(across, across), dot(so, across), dot(so, so) - radius * radius
-    q = -(b + jnp.where(b >= 0, 1.0, -1.0) * safe_sqrt(b * b - a * c))
+    turn = cross(so, across)
+    q = -(b + jnp.where(b >= 0, 1.0, -1.0) * safe_sqrt(a * radius * radius - dot(turn, turn)))
     t0, t1 = q / jnp.where(a == 0, 1.0, a), c / jnp.where(q == 0, 1.0, q)
     near, far = jnp.minimum(t0, t1), jnp.maximum(t0, t1)
     height = (dot(s, axis) + near * dot(d, axis)) * inverse

@@ -201,7 +201,8 @@ def prepare(scene: Scene, plan: Plan) -> World:
         ],
         -1,
     )
-    search = build_search(sg(geometry), sg(maps), scene.counts, scene.blocks, sg(center), sg(radius), plan)
+    epsilon = 8 * 2.0**-23 * jnp.maximum(sg(reach), sg(radius))
+    search = build_search(sg(geometry), sg(maps), scene.counts, scene.blocks, sg(center), epsilon, plan)
     return World(
         geometry=geometry,
         faces=rows,
@@ -211,7 +212,7 @@ def prepare(scene: Scene, plan: Plan) -> World:
         search=search,
         center=sg(center),
         radius=sg(radius),
-        epsilon=8 * 2.0**-23 * jnp.maximum(sg(reach), sg(radius)),
+        epsilon=epsilon,
         present=scene.counts[0] >= 0,
         plan=plan,
         blocks=scene.blocks,

@@ -17,10 +17,10 @@ def conductor(eta: Spectrum, k: Spectrum, cos_theta: Any) -> Spectrum:
     """
     cos_theta = jnp.maximum(cos_theta, 0.0)
     c2 = cos_theta * cos_theta
-    s2 = jnp.maximum(1.0 - c2, 0.0)
+    s2 = jnp.where(c2 > 1.0, 0.0, 1.0 - c2)
 
     def one(n: Any, kk: Any) -> Any:
-        t0 = n * n - kk * kk - s2
+        t0 = (n - 1.0) * (n + 1.0) - kk * kk + c2  # η² − k² − sin²θ, without cancelling at η = 1
         a2b2 = safe_sqrt(t0 * t0 + 4.0 * n * n * kk * kk)
         negative = t0 < 0
         down = n * kk * safe_sqrt(2.0 / jnp.where(negative, a2b2 - t0, 1.0))

@@ -8,7 +8,7 @@ from pathlib import Path
 from ..parts import Description, SceneError
 
 
-def load_description(path: str | Path, **defaults: str | float) -> Description:
+def load_description(path: str | Path, /, **defaults: str | float) -> Description:
     """The scene in a Mitsuba 3 .xml, .glb, .gltf, .obj or .ply file, as parts that can be rendered.
 
     `defaults` fill the `$names` of an XML file. A scene without a camera gets a default view, and,

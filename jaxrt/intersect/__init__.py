@@ -25,10 +25,13 @@ BACKENDS = {"dense": Dense}
 
 
 def build_search(
-    geometry: Any, maps: Any, counts: Any, blocks: tuple[int, ...], center: Any, radius: Any, plan: Any
+    geometry: Any, maps: Any, counts: Any, blocks: tuple[int, ...], center: Any, epsilon: Any, plan: Any
 ) -> Search:
-    """The search structure of a plan's backend over faces: (origin, e₁, e₂), and their affine maps about `center`."""
-    return BACKENDS[plan.backend].build(geometry, maps, counts, blocks, center, radius)
+    """The search structure of a plan's backend over faces (origin, e₁, e₂) and their affine maps about `center`.
+
+    `epsilon`: how far rounding may move a surface point, m.
+    """
+    return BACKENDS[plan.backend].build(geometry, maps, counts, blocks, center, epsilon)
 
 
 __all__ = ["BACKENDS", "Search", "affine", "build_search"]

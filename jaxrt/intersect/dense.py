@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int32
 
-from ..vector import Vec3, dot
+from ..vector import Vec3, cross, dot
 
 FLAT = ("triangle", "parallelogram", "disk")
 UNROLL = 6  # measured best on both jax 0.10 and 0.12 between 4 and 12
@@ -31,9 +31,9 @@ class Dense(eqx.Module):
     blocks: tuple[int, ...] = eqx.field(static=True)
 
     @classmethod
-    def build(cls, geometry: Any, maps: Any, counts: Any, blocks: tuple[int, ...], center: Any, radius: Any) -> Dense:
-        """Tables from faces (origin, e₁, e₂), shape (P, 9), grouped by kind in `blocks`, and their `affine` maps."""
-        slack = 4 * jnp.finfo(geometry.dtype).eps * radius
+    def build(cls, geometry: Any, maps: Any, counts: Any, blocks: tuple[int, ...], center: Any, epsilon: Any) -> Dense:
+        """Tables from faces (origin, e₁, e₂), shape (P, 9), by kind in `blocks`, and their `affine` maps."""
+        slack = 0.5 * epsilon
         u, v = maps[:, 4:7], maps[:, 8:11]
         steep = jnp.sqrt(jnp.maximum(jnp.sum(u * u, -1), jnp.sum(v * v, -1)))
         table = jnp.concatenate([maps, (slack * steep)[:, None]], -1)
@@ -51,7 +51,7 @@ class Dense(eqx.Module):
             cylinders=jnp.concatenate(tubes, -1),
             counts=counts,
             center=center,
-            least=-0.5 * 8 * 2.0**-23 * radius,
+            least=-0.5 * epsilon,
             blocks=blocks,
         )
 
@@ -114,12 +114,12 @@ def _allowed(face: Any, exclude: Any) -> Any:
 
 def affine(o: Any, a: Any, b: Any) -> Any:
     """Rows (n, c₀, U, c₁, V, c₂): height n·p + c₀ and coordinates U·p + c₁, V·p + c₂ of p over o + u a + v b."""
-    cross = jnp.cross(a, b)
-    l2 = jnp.sum(cross * cross, -1, keepdims=True)
+    area = jnp.cross(a, b)
+    l2 = jnp.sum(area * area, -1, keepdims=True)
     ok = l2 > 0
     safe = jnp.where(ok, l2, 1.0)
-    n = jnp.where(ok, cross * jax.lax.rsqrt(safe), 0.0)
-    u, v = jnp.where(ok, jnp.cross(b, cross) / safe, 0.0), jnp.where(ok, jnp.cross(cross, a) / safe, 0.0)
+    n = jnp.where(ok, area * jax.lax.rsqrt(safe), 0.0)
+    u, v = jnp.where(ok, jnp.cross(b, area) / safe, 0.0), jnp.where(ok, jnp.cross(area, a) / safe, 0.0)
     constant = lambda w: -jnp.sum(w * o, -1, keepdims=True)
     # A face without area lies nowhere: its height is constant, so a ray never reaches it.
     return jnp.concatenate([n, jnp.where(ok, constant(n), 1.0), u, constant(u), v, constant(v)], -1)
@@ -164,7 +164,8 @@ def _cylinder_test(table: Any) -> Callable[..., Any]:
         axis = along * l2
         so, do = s - axis * hs, d - axis * hd
         a, b, c = dot(do, do), dot(so, do), dot(so, so) - r2
-        disc = b * b - a * c
+        turn = cross(so, do)
+        disc = a * r2 - dot(turn, turn)  # b² − a c, which cancels far from a thin tube
         q = -(b + jnp.where(b >= 0, 1.0, -1.0) * jnp.sqrt(jnp.maximum(disc, 0.0)))
         t0, t1 = q / a, c / q
         fits = lambda t: (disc > 0) & (l2 > 0) & (hs + t * hd >= 0) & (hs + t * hd <= 1)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 from typing import Any
 
@@ -34,7 +35,7 @@ def view_of(scene: Scene, sensor: int) -> path.View:
     """Sensor number `sensor` as the loop sees it. Raises `SceneError` if there is none."""
     sensors = scene.structure.sensors
     if not -len(sensors) <= sensor < len(sensors):
-        raise SceneError(f"{scene.structure.source or 'scene'}: has {len(sensors)} sensors, no number {sensor}")
+        raise SceneError(f"{scene.structure.source or 'scene'}: has {len(sensors)} sensors, no number {sensor}; count from 0")
     structure = sensors[sensor]
     width, height = structure.film[:2]
     return path.View(scene.sensor_to_world[sensor], scene.lens[sensor], width, height, structure.sized(0, 0))
@@ -187,7 +188,8 @@ def irradiance(
     """Irradiance E = ∫ L_i dμ (W·m⁻²) at points (m) on the side of `normals`, by light and cosine sampling."""
     o, n, batch = _rays(points, normals)
     plan = plan or scene.plan or make_plan(scene)
-    return _along(scene, o, n, seed_of(key), depths_of(scene, max_depth), plan, spp, "irradiance").reshape(*batch, -1)
+    depths = dataclasses.replace(depths_of(scene, max_depth), hide_emitters=False)  # a meter sees all light
+    return _along(scene, o, n, seed_of(key), depths, plan, spp, "irradiance").reshape(*batch, -1)
 
 
 __all__ = ["LANES", "PASS", "depths_of", "irradiance", "measure", "radiance", "view_of"]

@@ -73,6 +73,12 @@ def start(world: World, o: Vec3, d: Vec3) -> PathState:
     )
 
 
+def hidden(world: World, o: Vec3, light: emitter.LightSample) -> Any:
+    """Whether something lies between o and a light sample. Its own face does not count, but a tube hides its inside."""
+    own = jnp.where(light.face >= world.first("cylinder"), -2, light.face) if world.blocks[4] else light.face
+    return world.search.occluded(o, light.w, light.distance * (1.0 - 1e-5), own)
+
+
 def bounce(world: World, depths: Depths, state: PathState, s: Stream) -> PathState:
     """One step of a path: land, collect emission and direct light, reflect."""
     plan = world.plan
@@ -86,7 +92,7 @@ def bounce(world: World, depths: Depths, state: PathState, s: Stream) -> PathSta
     share = 1.0
     if plan.lights:
         share = sg(jnp.where(state.delta, 1.0, balance(state.pdf, emitter.density(world, state.o, x, state.d))))
-    seen = state.alive & ~((state.depth == 0) & depths.hide_emitters)
+    seen = state.alive & ~((state.depth == 0) & depths.hide_emitters) & (depths.max_depth != 0)
     met = state.beta * radiance_of(world, x, wo) * share
     if state.before is not None and state.slopes is not None and plan.lights:
         met = met * material.met(world, state.before, x, state.slopes, seen & ~state.delta & (x.light_density > 0))
@@ -99,8 +105,7 @@ def bounce(world: World, depths: Depths, state: PathState, s: Stream) -> PathSta
     # Direct light by a light sample, weighted against reflection.
     if plan.lights:
         node, light = world.settle(light_node(world, x, at, s))
-        o, far = leave(world, x, node.w), light.distance * (1.0 - 1e-5)
-        blocked = world.search.occluded(o, node.w, far, light.face)
+        blocked = hidden(world, leave(world, x, node.w), light)
         share = sg(balance(node.pdf, reflection_density(world, at, node.w)))
         lit = state.beta * node.weight * light.radiance * share
         radiance = radiance + lit.map(lambda c: jnp.where(alive & ~blocked, c, 0.0))
@@ -164,7 +169,7 @@ def receive(world: World, at: Vec3, frame: Frame, local: Vec3, s: Stream) -> Pat
     light = emitter.sample(world, at, s.child(3), 1)
     cos = dot(frame.n, light.w)
     ok = (light.pdf > 0) & (cos > 0)
-    blocked = world.search.occluded(at, light.w, light.distance * (1.0 - 1e-5), light.face)
+    blocked = hidden(world, at, light)
     scale = jnp.where(ok & ~blocked, cos / jnp.where(ok, light.pdf, 1.0), 0.0)
     return replace(begun, radiance=light.radiance * (scale * balance(light.pdf, jnp.maximum(cos, 0.0) / np.pi)))
 
@@ -205,12 +210,11 @@ def run(world: World, depths: Depths, seed: Any, numbers: Any, begin: Any, first
     sample = jnp.full(numbers.shape, first, jnp.int32)
     lanes = Lane(sample, jax.vmap(fresh)(numbers, sample), (zero,) * SETS, jnp.zeros(numbers.shape, jnp.int32))
 
-    @one_function
     def loop(lanes: Lane) -> tuple[Any, Any]:
         lanes = jax.lax.while_loop(lambda c: jnp.any(c.sample < last), lambda c: jax.vmap(step)(numbers, c), lanes)
         return jnp.stack([s.array() for s in lanes.sums], 1), lanes.rays
 
-    return loop(lanes)
+    return (one_function(loop) if world.plan.bounces else loop)(lanes)
 
 
 def trace(world: World, view: View, depths: Depths, seed: Any, pixels: Any, first: Any, last: Any) -> tuple[Any, Any]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import os
+import threading
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -14,7 +15,7 @@ import jax
 import numpy as np
 
 from .. import __version__
-from ..compiler import options
+from ..compiler import program
 from ..effects import Plan
 from ..effects import plan as make_plan
 from ..parts import SceneError
@@ -23,10 +24,9 @@ from ..scene import Scene
 from ..world import prepare
 from . import path
 from .measure import LANES, PASS, depths_of, view_of
-from .solution import Solution, standard_error
+from .solution import Solution, predicted_error, standard_error
 
 _prepare = jax.jit(prepare, static_argnames="plan")
-_trace = jax.jit(path.trace)
 
 
 def resized(scene: Scene, sensor: int, width: int, height: int) -> Scene:
@@ -101,7 +101,7 @@ def render(
     with ThreadPoolExecutor(2) as pool:  # the compiler runs without Python's lock
         prepared = pool.submit(lambda: jax.block_until_ready(_prepare(scene, plan=plan)))
         like = jax.eval_shape(functools.partial(prepare, plan=plan), scene)
-        program = _trace.lower(like, view, depths, key, first, np.int32(0), np.int32(1)).compile(options())
+        run = program(path.trace, like, view, depths, key, first, np.int32(0), np.int32(1))
         world = prepared.result()
     compiled = time.perf_counter()
 
@@ -116,25 +116,35 @@ def render(
         block, (a, b) = job
         start, stop = block * lanes, min((block + 1) * lanes, n)
         pixels = np.resize(order[start:stop], lanes)
-        values, cast = program(world, view, depths, key, pixels, np.int32(a), np.int32(b))
+        values, cast = run(world, view, depths, key, pixels, np.int32(a), np.int32(b))
         sums[order[start:stop]] += np.asarray(values, np.float64)[: stop - start]
         rays[block] += int(np.asarray(cast, np.int64)[: stop - start].sum())
         done += 1
         if progress:
             progress(done / (blocks * len(passes)))
 
+    stop_asked = threading.Event()
+
     def column(block: int) -> None:
         for bounds in passes:  # in order, so that sums do not depend on which thread was faster
+            if stop_asked.is_set():
+                return
             work((block, bounds))
 
+    if progress:
+        progress(0.0)
     with ThreadPoolExecutor(threads) as pool:
-        list(pool.map(column, range(blocks)))
+        try:
+            list(pool.map(column, range(blocks)))
+        except BaseException:
+            stop_asked.set()  # an interrupt waits for one pass, not for the picture
+            raise
     finished = time.perf_counter()
 
     counts = np.array([len(range(k, spp, path.SETS)) for k in range(path.SETS)])
     shape = (height, width, plan.out_channels)
     image = (sums.sum(1) / spp).reshape(height, width, -1)
-    stderr = standard_error(sums, counts, (height, width))
+    stderr, variance = standard_error(sums, counts, (height, width))
     stats = {
         "samples": n * spp,
         "spp": spp,
@@ -162,5 +172,6 @@ def render(
         np.broadcast_to(image, shape).astype(np.float32),
         np.broadcast_to(stderr, shape).astype(np.float32),
         stats,
+        predicted_error(image, variance),
         header,
     )

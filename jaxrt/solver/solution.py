@@ -13,25 +13,26 @@ import numpy as np
 _POOL = (0.25, 0.5, 0.25)
 
 
-def standard_error(sums: np.ndarray, counts: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
-    """Standard error of each pixel's mean, (H, W, C), from sums (H·W, sets, C) of independent sets.
+def standard_error(sums: np.ndarray, counts: np.ndarray, shape: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
+    """Standard error of each pixel's mean, (H, W, C), and its variance unpooled, from sums (H·W, sets, C) of sets.
 
-    The few sets of one pixel give its variance 3 degrees of freedom; a binomial average over its 3 x 3
-    neighbours gives about 20, so that normal quantiles have the right coverage. NaN when there are
-    fewer than two sets.
+    The few independent sets of one pixel give its variance 3 degrees of freedom; a binomial average over its
+    3 x 3 neighbours gives about 20, so that normal quantiles have the right coverage. Totals over the picture
+    are better taken of the unpooled variance, which does not spread from highlights. NaN below two sets.
     """
     used = counts > 0
     height, width = shape
     if used.sum() < 2:
-        return np.full((height, width, sums.shape[-1]), np.nan)
+        nothing = np.full((height, width, sums.shape[-1]), np.nan)
+        return nothing, nothing
     n, total = counts[used][None, :, None].astype(float), float(counts.sum())
     means = sums[:, used] / n
     mean = sums[:, used].sum(1, keepdims=True) / total
     variance = (n * (means - mean) ** 2).sum(1) / (used.sum() - 1) / total
-    v = variance.reshape(height, width, -1)
+    v = own = variance.reshape(height, width, -1)
     for axis in (0, 1):
         v = _pooled(v, axis) / _pooled(np.ones_like(v), axis)
-    return np.sqrt(v)
+    return np.sqrt(v), own
 
 
 def _pooled(v: np.ndarray, axis: int) -> np.ndarray:
@@ -50,17 +51,25 @@ def relative_mse(image: Any, reference: Any) -> float:
     return float(((image - reference) ** 2 / np.maximum(reference**2 + epsilon, 1e-300)).mean())
 
 
+def predicted_error(image: np.ndarray, variance: np.ndarray) -> float:
+    """√relMSE that a picture's variances predict."""
+    square = image.astype(np.float64) ** 2
+    return float(np.sqrt((variance / np.maximum(square + 0.01 * square.mean(), 1e-300)).mean()))
+
+
 @dataclasses.dataclass
 class Solution:
     """A picture (H, W, C) float32, its standard error, and how it came about.
 
     image: radiance, W·m⁻²·sr⁻¹. stderr: standard error of each value (NaN below two samples a pixel).
+    relative_error: √relMSE that the variances of pixels predict.
     stats: samples, rays, iterations, max_depth, method, why, seconds_compile, seconds_run, devices, threads.
     """
 
     image: np.ndarray
     stderr: np.ndarray
     stats: dict[str, Any]
+    relative_error: float = float("nan")
     header: dict[str, Any] = dataclasses.field(default_factory=dict)
     failed: bool = False
 
@@ -71,13 +80,6 @@ class Solution:
 
         results = optimistix.RESULTS
         return results.nonlinear_max_steps_reached if self.failed else results.successful
-
-    @property
-    def relative_error(self) -> float:
-        """√relMSE that the standard errors predict."""
-        r = self.image.astype(np.float64) ** 2
-        scale = np.maximum(r + 0.01 * r.mean(), 1e-300)
-        return float(np.sqrt((self.stderr.astype(np.float64) ** 2 / scale).mean()))
 
     def save(self, path: str | Path, exposure: float = 0.0) -> None:
         """Writes `.exr` (with standard errors and provenance) or `.png` (sRGB, `exposure` in stops). Atomic.

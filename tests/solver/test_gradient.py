@@ -15,6 +15,14 @@ from jaxrt.intersect import dense
 KEYS = 8
 
 
+@pytest.fixture(autouse=True, scope="module")
+def short_loops():
+    """Blocks of one face: these programs compile twice as fast, and other tests have the longer ones."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(dense, "UNROLL", 1)
+        yield
+
+
 def batches(seed=0, n=KEYS):
     return jax.random.split(jax.random.key(seed), n)
 
@@ -101,14 +109,16 @@ def agree(a, b, relative, sigmas=4.5):
 # ------------------------------------------------------------------------------------ the furnace, exactly
 
 
-@functools.cache
 def furnace():
     scene = box_room(0.5, {k: 1.5 for k in WALLS}, sensors=[camera((0.3, -0.4, 0.2), (-0.5, 0.6, 0.7), 4, 4, 90.0)])
     return scene, jaxrt.plan(scene, area_light=False)
 
 
+FURNACE = furnace()
+
+
 def furnace_mean(rho, key=3, depth=3):
-    scene, plan = furnace()
+    scene, plan = FURNACE
     scene = jaxrt.with_params(scene, {"wall.reflectance": rho})
     return jnp.mean(jaxrt.measure(scene, key, plan=plan, spp=4, max_depth=depth, rr_depth=1000))
 
@@ -137,19 +147,22 @@ def test_derivatives_without_a_limit_of_depth_are_refused():
 # -------------------------------------------------------- reflectance, radiance, roughness and index in a box
 
 
+WHITE = jaxrt.Diffuse(0.5, id="white")
+
+
 @functools.cache
 def box():
     """A box with red-ish walls in grey, a lit ceiling, a lamp that is off, a rough metal wall and a ball of metal."""
-    bsdfs = {k: jaxrt.Diffuse(r, id=k) for k, r in (("left", 0.6), ("right", 0.3), ("floor", 0.5), ("ceiling", 0.4))}
-    bsdfs |= {"back": bsdfs["floor"], "front": jaxrt.Conductor(0.4, 0.9, 2.5, 0.9, id="metal")}
+    bsdfs = {"left": jaxrt.Diffuse(0.6, id="red"), "right": jaxrt.Diffuse(0.3, id="green")}
+    bsdfs |= {k: WHITE for k in ("floor", "ceiling", "back")} | {"front": jaxrt.Conductor(0.4, 0.9, 2.5, 0.9, id="metal")}
     lamp = jaxrt.Rectangle(id="lamp", to_world=moved(0.3, (0.4, 0.5, -0.4), frame((-0.5, 0.2, 0.6), (1, 0, 0))), emission=0.0)
     sensor = camera((0.2, -0.9, 0.1), (0.1, 0.9, -0.1), 6, 6, 70.0)
     scene = box_room(bsdfs=bsdfs, emission={"ceiling": 1.0}, others=[lamp], sensors=[sensor])
-    names = ["left.reflectance", "floor.reflectance", "ceiling.emitter.radiance", "lamp.emitter.radiance"]
+    names = ["red.reflectance", "white.reflectance", "ceiling.emitter.radiance", "lamp.emitter.radiance"]
     return Setting(scene, [*names, "metal.alpha", "metal.eta", "metal.k", "metal.specular_reflectance"], 64, 3)
 
 
-@pytest.mark.parametrize("name", ["left.reflectance", "floor.reflectance", "metal.specular_reflectance"])
+@pytest.mark.parametrize("name", ["red.reflectance", "white.reflectance", "metal.specular_reflectance"])
 def test_reflectance(name):
     """Of degree 2 in a reflectance at depth 3, where sampling does not depend on it: central differences are exact."""
     got, want = box().slope[name][:, 0], box().difference(name, [1.0], 0.05)
@@ -232,7 +245,7 @@ def under_lamps():
     shapes = [
         jaxrt.Mesh(id="floor", vertices=FLOOR, faces=[[0, 1, 2]], bsdf=jaxrt.Diffuse(RHO, id="grey")),
         jaxrt.Rectangle(id="square", to_world=SQUARE, emission=1.0, bsdf=black),
-        jaxrt.Mesh(id="triangle", vertices=TRIANGLE, faces=[[0, 2, 1]], emission=2.0, bsdf=black),
+        jaxrt.Mesh(id="triangle", vertices=TRIANGLE, faces=[[0, 1, 2]], emission=2.0, bsdf=black),
         jaxrt.Sphere(id="ball", center=BALL[0], radius=BALL[1], emission=0.5, bsdf=black),
     ]
     sensor = camera((0, 0, 5), (0, 0, 0), 4, 4, 1e-3, up=(0, 1, 0))
@@ -277,15 +290,8 @@ def test_geometry_of_direct_light(move):
     if move == "floor slid":
         assert want == pytest.approx(0, abs=1e-9)
     else:
-        assert error < 0.03 * abs(want)
+        assert error < 0.03 * max(abs(want), 0.02)  # of a picture of .12
     assert abs(mean - want) < 4.5 * error + 1e-6
-
-
-def test_geometry_forward_is_reverse():
-    rng = np.random.default_rng(3)
-    v = {k: rng.normal(size=np.shape(a)) for k, a in under_lamps().values.items()}
-    pulled = sum(under_lamps().pulled(k, v[k]) for k in v)
-    np.testing.assert_allclose(under_lamps().along(v), pulled, rtol=1e-3, atol=1e-4)
 
 
 # --------------------------------------------------------------- geometry where no edge of visibility moves
@@ -326,7 +332,7 @@ def hollow():
     """Inside a shining rough metal ball: smooth, closed, without edges. Three bounces."""
     ball = jaxrt.Sphere(
         id="ball", center=(0.1, 0.2, 0.3), radius=2.0, flip_normals=True, emission=1.0,
-        bsdf=jaxrt.Conductor(0.6, 0.5, 2.0, id="metal"),
+        bsdf=jaxrt.Conductor(0.9, id="metal"),
     )  # fmt: skip
     scene = jaxrt.Scene.build([ball], sensors=[camera((1.0, -0.5, 0.0), (-1, 1, 0.5), 4, 4, 60.0)])
     return Setting(scene, ["ball.center", "ball.radius", "ball.to_world"], 256, 4)
@@ -345,28 +351,25 @@ def crystal():
         id="room", vertices=v * [1.0, 1.2, 0.9], faces=f[:, ::-1].copy(), emission=1.0, bsdf=jaxrt.Diffuse(0.5, id="wall")
     )
     scene = jaxrt.Scene.build([room], sensors=[camera((0.1, -0.2, 0.1), (1, 1, 0.2), 4, 4, 60.0)])
-    return Setting(scene, ["room.vertices"], 256, 3)
+    return Setting(scene, ["room.vertices"], 256, 3, jaxrt.plan(scene, area_light=False))
 
 
 def test_an_even_room_does_not_change_with_its_shape():
-    """Single samples do, and cancel: lamps nearer or turned, cosines, and the light that follows."""
+    """Single samples do, by their cosines, and cancel."""
     mean, error = mean_and_error(crystal().slope["room.vertices"])
-    assert error.max() > 1e-4  # samples do have a derivative
+    assert error.max() > 1e-4
     scores = mean / np.where(error > 0, error, np.inf)
-    # 36 numbers, of 8 keys each: t quantiles, one in 1e4 above 8.
-    assert np.abs(scores).max() < 8
+    assert np.abs(scores).max() < 8  # 36 numbers, of 8 keys each: by t quantiles one in 1e4 is above 8
     assert np.sqrt((scores**2).mean()) < 2
-    assert np.abs(mean).max() < 0.05  # of a picture of 1.75
+    assert np.abs(mean).max() < 0.01  # of a picture of 1.75
 
 
 # ------------------------------------------------------------------------------------------ nothing infinite
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", ["perspective", "thinlens"])
-def test_every_derivative_of_everything_is_finite(monkeypatch, kind):
+def test_every_derivative_of_everything_is_finite():
     """All leaves of a scene with every kind of face, lobe and lamp: grazing, behind, inside, missing, at edges."""
-    monkeypatch.setattr(dense, "UNROLL", 1)  # compiles sooner
     v, f = icosphere(0)
     metal, rough = jaxrt.Conductor(0.0, 0.2, 3.9), jaxrt.TwoSided(jaxrt.Conductor((0.1, 0.4), 0.2, 3.9))
     shapes = [
@@ -381,8 +384,8 @@ def test_every_derivative_of_everything_is_finite(monkeypatch, kind):
         jaxrt.Cylinder(p0=(0.5, 1, -1), p1=(0.5, 1, 0.5), radius=0.2, bsdf=rough, emission=0.3),
     ]
     film = jaxrt.Film(9, 7, "gaussian")
-    more = {"aperture_radius": 0.05, "focus_distance": 3.0} if kind == "thinlens" else {}
-    sensor = jaxrt.Sensor(kind=kind, to_world=look_at((0.2, -4, 1), (0, 0, 0)), fov=60, film=film, **more)
+    pose = look_at((0.2, -4, 1), (0, 0, 0))
+    sensor = jaxrt.Sensor("thinlens", pose, fov=60, film=film, aperture_radius=0.05, focus_distance=3.0)
     scene = jaxrt.Scene.build(shapes, sensors=[sensor], enclosure=jaxrt.Enclosure([0.1, 0.2, 0.3]))
     plan = jaxrt.plan(scene)
 
@@ -390,8 +393,9 @@ def test_every_derivative_of_everything_is_finite(monkeypatch, kind):
     def gradient(scene):
         return eqx.filter_grad(lambda s: jnp.sum(jaxrt.measure(s, 0, plan=plan, spp=16, max_depth=5)))(scene)
 
+    out = gradient(scene)
     names = ["vertices", "normals", "patches", "to_world", "materials", "radiance", "sensor_to_world", "lens"]
     for name in names:
-        leaf = np.asarray(getattr(gradient(scene), name))
+        leaf = np.asarray(getattr(out, name))
         assert np.isfinite(leaf).all(), name
         assert np.abs(leaf).max() > 0, name
