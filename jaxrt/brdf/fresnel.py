@@ -15,7 +15,8 @@ def conductor(eta: Spectrum, k: Spectrum, cos_theta: Any) -> Spectrum:
     eta 0 and k 1 reflect exactly 1. The root of a difference is taken in the form that does not cancel,
     which also keeps the derivative with respect to η finite at η = 0.
     """
-    cos_theta = jnp.maximum(cos_theta, 0.0)
+    grazing = cos_theta <= 0
+    cos_theta = jnp.maximum(cos_theta, 1e-9)  # its square is a normal number
     c2 = cos_theta * cos_theta
     s2 = jnp.where(c2 > 1.0, 0.0, 1.0 - c2)
 
@@ -30,6 +31,6 @@ def conductor(eta: Spectrum, k: Spectrum, cos_theta: Any) -> Spectrum:
         sum1, sum2 = t1 + t2, t3 + t4
         rs = jnp.where(sum1 > 0, (t1 - t2) / jnp.where(sum1 > 0, sum1, 1.0), 1.0)
         rp = jnp.where(sum2 > 0, (t3 - t4) / jnp.where(sum2 > 0, sum2, 1.0), 1.0)
-        return 0.5 * rs * (1.0 + rp)
+        return jnp.where(grazing, 1.0, 0.5 * rs * (1.0 + rp))
 
     return eta.map(one, k)
