@@ -35,7 +35,8 @@ def view_of(scene: Scene, sensor: int) -> path.View:
     """Sensor number `sensor` as the loop sees it. Raises `SceneError` if there is none."""
     sensors = scene.structure.sensors
     if not -len(sensors) <= sensor < len(sensors):
-        raise SceneError(f"{scene.structure.source or 'scene'}: has {len(sensors)} sensors, no number {sensor}; count from 0")
+        source = scene.structure.source or "scene"
+        raise SceneError(f"{source}: has {len(sensors)} sensors, no number {sensor}; count from 0")
     structure = sensors[sensor]
     width, height = structure.film[:2]
     return path.View(scene.sensor_to_world[sensor], scene.lens[sensor], width, height, structure.sized(0, 0))
