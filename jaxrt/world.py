@@ -160,14 +160,10 @@ def prepare(scene: Scene, plan: Plan) -> World:
     center, radius, reach = _bounds(scene, sg(geometry))
     finish = scene.shape_finish[scene.face_shape].astype(geometry.dtype)
 
-    # What a plan leaves out is dark: row 0 is no emitter, row 1 the enclosure, the rest area lights.
-    kept = np.array([False, plan.enclosure] + [plan.lights] * (scene.radiance.shape[0] - 2))
-    radiance = jnp.where(kept[:, None], scene.radiance, 0.0)
-
     # Lights are chosen by power; a share spread evenly keeps lamps at radiance 0 in the derivative.
     face = jnp.where(scene.lights >= 0, scene.lights, 0)
     shape = scene.face_shape[face]
-    power = sg(area[face] * radiance[scene.finishes[scene.shape_finish[shape], 1]].mean(-1))
+    power = sg(area[face] * scene.radiance[scene.finishes[scene.shape_finish[shape], 1]].mean(-1))
     real = (scene.lights >= 0) & (area[face] > 0)
     n = jnp.maximum(real.sum(), 1)
     total = jnp.where(real, power, 0).sum()
@@ -190,7 +186,7 @@ def prepare(scene: Scene, plan: Plan) -> World:
     columns = [n, height[:, None], side[:, None], finish[:, None], density[:, None].astype(side.dtype), u, v, *extra]
     rows = jnp.concatenate(columns, -1)
     rows = jnp.concatenate([rows, jnp.zeros((1, rows.shape[1]), rows.dtype).at[0, FACE["side"]].set(1.0)])
-    lit = radiance[scene.finishes[scene.shape_finish[shape], 1]][:, : plan.channels]
+    lit = scene.radiance[scene.finishes[scene.shape_finish[shape], 1]][:, : plan.channels]
     light_rows = jnp.concatenate(
         [geometry[face], rows[face, :3], density[face][:, None], lit, face[:, None].astype(side.dtype)], -1
     )
@@ -201,7 +197,7 @@ def prepare(scene: Scene, plan: Plan) -> World:
     finishes = jnp.concatenate(
         [
             scene.materials[scene.finishes[:, 0]][:, np.array(columns)],
-            radiance[scene.finishes[:, 1]][:, : plan.channels],
+            scene.radiance[scene.finishes[:, 1]][:, : plan.channels],
         ],
         -1,
     )
