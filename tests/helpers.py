@@ -1,6 +1,5 @@
 """Scenes in closed form and jitted programs that tests share, so that each shape is compiled once."""
 
-import dataclasses
 import functools
 
 import jax
@@ -102,11 +101,6 @@ _prepare = jax.jit(prepare, static_argnames="plan")
 def world_of(scene, plan=None):
     """The scene's tables in world space."""
     return _prepare(scene, plan=plan or jaxrt.plan(scene))
-
-
-def without_light_samples(world):
-    """The world with its lamps lit, but met by reflected rays alone: in a furnace every such path has the same value."""
-    return dataclasses.replace(world, plan=dataclasses.replace(world.plan, light_kinds=(), many_lights=False))
 
 
 @functools.partial(jax.jit, static_argnames="plan")
