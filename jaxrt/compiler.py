@@ -47,8 +47,8 @@ def _make(f: Callable[..., Any], leaves: list[Any], tree: Any, file: Path | None
     compiled, out = None, None
     if file is not None and file.exists():
         try:
-            kept, out = pickle.loads(file.read_bytes())
-            compiled = serialize_executable.deserialize_and_load(*kept)
+            kept, example = pickle.loads(file.read_bytes())
+            compiled, out = serialize_executable.deserialize_and_load(*kept), jax.tree.structure(example)
         except Exception:  # a damaged or foreign file: made anew below
             compiled = None
     if compiled is None:
@@ -63,7 +63,8 @@ def _make(f: Callable[..., Any], leaves: list[Any], tree: Any, file: Path | None
         compiled = jax.jit(flat).lower(*leaves).compile(options)
         out = trees[0]
         if file is not None:
-            _keep(file, pickle.dumps((serialize_executable.serialize(compiled), out)))
+            example = jax.tree.unflatten(out, range(out.num_leaves))  # modules can be pickled, their structure cannot
+            _keep(file, pickle.dumps((serialize_executable.serialize(compiled), example)))
     run = compiled
     return lambda *args: jax.tree.unflatten(out, run(*jax.tree.leaves(args)))
 

@@ -12,6 +12,7 @@ import fnmatch
 from collections.abc import Callable, Iterable
 from typing import Any
 
+import jax
 import numpy as np
 
 from .brdf import LOBES, MaterialColumns
@@ -19,9 +20,13 @@ from .parts import SceneError
 from .scene import CAMERAS, KINDS, Scene
 
 
+@jax.tree_util.register_static
 @dataclasses.dataclass(frozen=True)
 class Plan:
-    """What is compiled. Equal plans share programs; reasons and assumptions do not count for equality."""
+    """What is compiled. Equal plans share programs; reasons and assumptions do not count for equality.
+
+    A pytree without leaves: as an argument of a jitted function it is static.
+    """
 
     channels: int
     kinds: tuple[str, ...]
@@ -36,8 +41,8 @@ class Plan:
     bounces: bool
     backend: str
     out_channels: int
-    reasons: tuple[tuple[str, bool, str], ...] = dataclasses.field(default=(), compare=False)
-    assumes: tuple[tuple[str, str], ...] = dataclasses.field(default=(), compare=False)
+    reasons: tuple[tuple[str, bool, str], ...] = dataclasses.field(default=(), compare=False, repr=False)
+    assumes: tuple[tuple[str, str], ...] = dataclasses.field(default=(), compare=False, repr=False)
 
     @property
     def effects(self) -> frozenset[str]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import functools
 import os
 import threading
 import time
@@ -25,8 +24,6 @@ from ..world import prepare
 from . import path
 from .measure import LANES, PASS, depths_of, view_of
 from .solution import Solution, predicted_error, standard_error
-
-_prepare = jax.jit(prepare, static_argnames="plan")
 
 
 def resized(scene: Scene, sensor: int, width: int, height: int) -> Scene:
@@ -98,11 +95,8 @@ def render(
     began = time.perf_counter()
     order = _tiles(width, height)
     first = np.resize(order, lanes)
-    with ThreadPoolExecutor(2) as pool:  # the compiler runs without Python's lock
-        prepared = pool.submit(lambda: jax.block_until_ready(_prepare(scene, plan=plan)))
-        like = jax.eval_shape(functools.partial(prepare, plan=plan), scene)
-        run = program(path.trace, like, view, depths, key, first, np.int32(0), np.int32(1))
-        world = prepared.result()
+    world = program(prepare, scene, plan)(scene, plan)
+    run = program(path.trace, world, view, depths, key, first, np.int32(0), np.int32(1))
     compiled = time.perf_counter()
 
     blocks = -(-n // lanes)
