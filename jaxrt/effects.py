@@ -16,6 +16,7 @@ import jax
 import numpy as np
 
 from .brdf import LOBES, MaterialColumns
+from .near_lamps import solid_angle_pays
 from .parts import SceneError
 from .scene import CAMERAS, KINDS, Scene
 
@@ -37,6 +38,8 @@ class Plan:
     smooth_normals: bool
     light_kinds: tuple[str, ...]  # kinds of faces that emit
     many_lights: bool
+    solid_angle: bool  # whether flat lights are sampled by it
+    area_light: bool
     enclosure: bool
     bounces: bool
     backend: str
@@ -139,12 +142,16 @@ def plan(scene: Scene, free: str | Iterable[str] | None = (), **overrides: bool)
         "bounces": bounces,
         "anisotropic": anisotropic,
         "area_light": bool(emitting),
+        "light_sampling": bool(emitting),
+        "solid_angle": solid_angle_pays(scene, [f for faces in emitting.values() for f in faces]),
         "rgb": not grey,
     }
     for name, value in overrides.items():
         if name not in chosen:
             raise SceneError(f"{name}: no effect of that name to force; there are {', '.join(sorted(chosen))}")
         chosen[name] = bool(value)
+    sampled = chosen["light_sampling"] and chosen["area_light"] and bool(emitting)
+    chosen["solid_angle"] &= sampled
 
     n_lights = sum(map(len, emitting.values()))
     say: Callable[[bool, str, str], str] = lambda on, yes, no: yes if on else no
@@ -158,6 +165,8 @@ def plan(scene: Scene, free: str | Iterable[str] | None = (), **overrides: bool)
         ("anisotropic", chosen["anisotropic"], say(anisotropic, "alpha_u differs from alpha_v", "no such material")),
         ("smooth_normals", chosen["smooth_normals"], say(smooth, "a mesh has vertex normals", "all faces are flat")),
         ("area_light", chosen["area_light"], f"{n_lights} emitting faces"),
+        ("light_sampling", sampled, say(sampled, "rays towards lamps", "lamps are met by reflection alone")),
+        ("solid_angle", chosen["solid_angle"], say(chosen["solid_angle"], "lamps are large and near", "no such lamps")),
         ("light_selection", n_lights > 1, say(n_lights > 1, "by power", "at most one emitting face")),
         ("enclosure", chosen["enclosure"], say(enclosure, "constant radiance", "black")),
         ("bounces", chosen["bounces"], say(bounces, "surfaces reflect", "every reflectance is 0")),
@@ -177,8 +186,10 @@ def plan(scene: Scene, free: str | Iterable[str] | None = (), **overrides: bool)
         twosided=twosided,
         anisotropic=chosen["anisotropic"],
         smooth_normals=chosen["smooth_normals"],
-        light_kinds=tuple(k for k in KINDS if k in emitting) if chosen["area_light"] else (),
+        light_kinds=tuple(k for k in KINDS if k in emitting) if sampled else (),
         many_lights=n_lights > 1,
+        solid_angle=chosen["solid_angle"],
+        area_light=chosen["area_light"],
         enclosure=chosen["enclosure"],
         bounces=chosen["bounces"],
         backend="dense",

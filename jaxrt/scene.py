@@ -61,11 +61,11 @@ class SensorStructure:
 class Structure:
     """Everything static about a scene: names of parameters, sensors, and what the file asked of the method."""
 
-    slots: tuple[tuple[str, Slot], ...]
-    shapes: tuple[tuple[str, str, int, int], ...]  # id, kind of its faces, first face, past the last
-    sensors: tuple[SensorStructure, ...]
-    sensor_ids: tuple[str, ...]
-    integrator: tuple[int, int, bool, int]
+    slots: tuple[tuple[str, Slot], ...] = ()
+    shapes: tuple[tuple[str, str, int, int], ...] = ()  # id, kind of its faces, first face, past the last
+    sensors: tuple[SensorStructure, ...] = ()
+    sensor_ids: tuple[str, ...] = ()
+    integrator: tuple[int, int, bool, int] = dataclasses.astuple(Integrator())
     source: str = ""
 
     def asked(self) -> Integrator:

@@ -31,7 +31,8 @@ class World(eqx.Module):
     `faces` rows, gathered at each hit (`FACE` names the columns), about `center`: the affine maps of a flat
     face to its height and coordinates, or centre and radius of a curved one; side, finish, light density
     (1/m²); and as the plan calls for, three vertex normals and a tangent. The last row is the enclosure.
-    `finishes` rows: material fields, then radiance. `light_rows`: geometry, normal, density, radiance, face.
+    `finishes` rows: material fields, then radiance. `light_rows`: geometry, normal, density,
+    chance, radiance, face.
     """
 
     geometry: Float[Array, "P 9"]
@@ -186,10 +187,10 @@ def prepare(scene: Scene, plan: Plan) -> World:
     columns = [n, height[:, None], side[:, None], finish[:, None], density[:, None].astype(side.dtype), u, v, *extra]
     rows = jnp.concatenate(columns, -1)
     rows = jnp.concatenate([rows, jnp.zeros((1, rows.shape[1]), rows.dtype).at[0, FACE["side"]].set(1.0)])
-    lit = scene.radiance[scene.finishes[scene.shape_finish[shape], 1]][:, : plan.channels]
-    light_rows = jnp.concatenate(
-        [geometry[face], rows[face, :3], density[face][:, None], lit, face[:, None].astype(side.dtype)], -1
-    )
+    radiance = scene.radiance * np.where(np.arange(len(scene.radiance)) == 1, plan.enclosure, plan.area_light)[:, None]
+    lit = radiance[scene.finishes[scene.shape_finish[shape], 1]][:, : plan.channels]
+    per_light = [geometry[face], rows[face, :3], density[face][:, None], chance[:, None], lit, face[:, None]]
+    light_rows = jnp.concatenate([a.astype(side.dtype) for a in per_light], -1)
     table = MaterialColumns(scene.channels)
     columns = [j for f in plan.fields for j in range(*table[f])]
     if plan.channels == 1:
@@ -197,7 +198,7 @@ def prepare(scene: Scene, plan: Plan) -> World:
     finishes = jnp.concatenate(
         [
             scene.materials[scene.finishes[:, 0]][:, np.array(columns)],
-            scene.radiance[scene.finishes[:, 1]][:, : plan.channels],
+            radiance[scene.finishes[:, 1]][:, : plan.channels],
         ],
         -1,
     )

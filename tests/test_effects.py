@@ -91,5 +91,10 @@ def test_names_that_do_not_exist_are_refused_with_the_closest():
 
 def test_an_effect_can_be_forced_out():
     scene = room(enclosure=jaxrt.Enclosure(1.0))
-    assert "enclosure" in jaxrt.plan(scene, free=None).effects
-    assert "area_light" not in jaxrt.plan(scene, area_light=False).effects
+    at = lambda **out: jaxrt.radiance(scene, (0.0, 0.0, 1.5), (0.3, 0.2, -1.0), plan=jaxrt.plan(scene, **out), spp=64)
+    both, lamp, sky = (np.asarray(at(**out)) for out in ({}, {"enclosure": False}, {"area_light": False}))
+    assert "enclosure" not in jaxrt.plan(scene, enclosure=False).effects
+    assert (lamp > 0.01).all() and (sky > 0.01).all()
+    np.testing.assert_allclose(lamp + sky, both, rtol=0.05)
+    np.testing.assert_allclose(at(light_sampling=False), both, rtol=0.2)
+    assert (at(enclosure=False, area_light=False) == 0).all()

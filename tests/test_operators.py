@@ -336,7 +336,7 @@ def _exact_field(world):
 def test_the_exact_field_leaves_no_variance():
     """With R̃ = R every sample of D + T R̃ − R̃ is 0 (directions drawn by cosine: no light samples here)."""
     o, d = started(furnace(), 256)
-    plan = jaxrt.plan(furnace(), area_light=False)
+    plan = jaxrt.plan(furnace(), light_sampling=False)
     np.testing.assert_allclose(evaluate(furnace(), _exact_field, o, d, plan=plan), 3.0, rtol=1e-5)
 
 

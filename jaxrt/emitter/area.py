@@ -1,7 +1,8 @@
 """Area lights: a face is chosen by power, then a direction towards it.
 
-Spheres are sampled by the cone that they subtend, flat faces and cylinders by area. Densities are over
-solid angle at the lit point; sampling and densities are held fixed under differentiation.
+Spheres are sampled by the cone that they subtend, triangles and parallelograms by their solid angle where the
+plan says that it pays, all else by area. Densities are over solid angle at the lit point; sampling and
+densities are held fixed under differentiation.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from ..sampling.sobol import Drawn, Stream
 from ..surface import SurfacePoint, _row, _vec
 from ..vector import Frame, Spectrum, Vec3, cross, dot, normalise, safe_sqrt, where
 from ..world import FACE, World
+from . import spherical
 
 
 class LightSample(eqx.Module):
@@ -89,10 +91,10 @@ def sample(world: World, x: Vec3, s: Stream | Drawn, pair: int) -> LightSample:
     u = s.pair_at(pair)
     index = _choose(world, s.pair_at(pair + 1)[0])[0] if plan.many_lights else 0
     row = _row(world.light_rows, index)
-    face = row[13 + plan.channels].astype(jnp.int32)
+    face = row[14 + plan.channels].astype(jnp.int32)
     moving, attached = x, row
-    x, fixed = jax.lax.stop_gradient((x, [row[k] for k in range(13)]))
-    front, density = _vec(fixed, 9), fixed[12]
+    x, fixed = jax.lax.stop_gradient((x, [row[k] for k in range(14)]))
+    front, density, chance = _vec(fixed, 9), fixed[12], fixed[13]
     found = None
     for kind in plan.light_kinds:
         if kind == "sphere":
@@ -106,8 +108,12 @@ def sample(world: World, x: Vec3, s: Stream | Drawn, pair: int) -> LightSample:
             one = (y, n * _row(world.faces, face)[FACE["side"]], area, 0.0 * u[0])
         else:
             e1, e2 = _vec(attached, 3), _vec(attached, 6)
-            uv = FLAT_WARPS[kind](u)
-            one = (_vec(attached, 0) + e1 * uv[0] + e2 * uv[1], front, cross(e1, e2), 0.0 * u[0])
+            uv, cone = FLAT_WARPS[kind](u), 0.0 * u[0]
+            if plan.solid_angle and kind != "disk":
+                four = kind == "parallelogram"
+                f, g, cone = spherical.sample(x, _vec(fixed, 0), _vec(fixed, 3), _vec(fixed, 6), four, u)
+                uv = (jnp.where(cone > 0, f, uv[0]), jnp.where(cone > 0, g, uv[1]))
+            one = (_vec(attached, 0) + e1 * uv[0] + e2 * uv[1], front, cross(e1, e2), cone)
         found = one if found is None else where(face >= world.first(kind), one, found)
     assert found is not None
     y, normal, area, cone = found
@@ -117,11 +123,9 @@ def sample(world: World, x: Vec3, s: Stream | Drawn, pair: int) -> LightSample:
     d2 = dot(to, to)
     cos = -dot(normal, fixed_w)
     pdf = _per_area(density, d2, cos)
-    if "sphere" in plan.light_kinds:
-        area = 4.0 * np.pi * dot(_vec(fixed, 3), _vec(fixed, 3))
-        pdf = jnp.where(cone > 0, density * area * cone, pdf)
+    pdf = jnp.where(cone > 0, chance * cone, pdf)
     lit = (cos > 0) & (d2 > 0)
-    radiance = Spectrum(tuple(jnp.where(lit, row[13 + c], 0.0) for c in range(plan.channels)))
+    radiance = Spectrum(tuple(jnp.where(lit, row[14 + c], 0.0) for c in range(plan.channels)))
     return LightSample(w, safe_sqrt(d2), radiance, jnp.where(lit, pdf, 0.0), face, jacobian)
 
 
@@ -139,6 +143,15 @@ def density(world: World, x: Vec3, y: SurfacePoint, w: Vec3) -> Any:
         cone = y.light_density * 4.0 * np.pi * r2 / (2.0 * np.pi * omc)
         ball = (y.face >= world.first("sphere")) & (y.face < world.first("cylinder")) & outside
         pdf = jnp.where(ball, cone, pdf)
+    if world.plan.solid_angle:
+        row = jax.lax.stop_gradient(_row(world.geometry, jnp.where(y.face < 0, 0, y.face)))
+        o, e1, e2 = (_vec(row, k) for k in (0, 3, 6))
+        four = y.face >= world.first("parallelogram")
+        cone = spherical.per_solid_angle(x, o, e1, e2, four)
+        twice = cross(e1, e2)
+        area = safe_sqrt(dot(twice, twice)) * jnp.where(four, 1.0, 0.5)
+        flat = (y.face < world.first("disk")) & (cone > 0)
+        pdf = jnp.where(flat, y.light_density * area * cone, pdf)
     return jnp.where(hit, pdf, 0.0)
 
 

@@ -9,6 +9,7 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from ..effects import Plan
@@ -57,6 +58,18 @@ def _chunks(numbers: Any, lanes: int) -> Any:
     return numbers[jnp.arange(-(-n // lanes) * lanes) % n].reshape(-1, lanes)
 
 
+def _over_devices(f: Any, rows: Any, *whole: Any) -> Any:
+    """f(*whole, row) for each of `rows`, one after another on each device of this process."""
+    devices, n = jax.local_devices(), rows.shape[0]
+    each = lambda rows, *whole: jax.lax.map(lambda row: f(*whole, row), rows)
+    if len(devices) == 1 or n == 1 or jax.sharding.get_abstract_mesh().axis_names:  # the last: sharded by the caller
+        return each(rows, *whole)
+    rows = rows[np.resize(np.arange(n), -(-n // len(devices)) * len(devices))]
+    split, same = jax.sharding.PartitionSpec("device"), jax.sharding.PartitionSpec()
+    mesh, specs = jax.sharding.Mesh(np.array(devices), ("device",)), (split, *(same for _ in whole))
+    return jax.shard_map(each, mesh=mesh, in_specs=specs, out_specs=split, check_vma=False)(rows, *whole)[:n]
+
+
 def _compensated(step: Any, start: Any, count: int) -> Any:
     """Σ step(k), k < count, by Kahan's sum."""
 
@@ -73,14 +86,14 @@ def _compensated(step: Any, start: Any, count: int) -> Any:
 def _picture(world: World, view: path.View, depths: path.Depths, seed: Any, pixels: Any, spp: int, depth: int) -> Any:
     """Means of pixels (chunks, lanes) -> (chunks, lanes, C), by the loop without reverse mode."""
 
-    def chunk(px: Any) -> Any:
+    def chunk(world: World, view: path.View, depths: path.Depths, seed: Any, px: Any) -> Any:
         def one(k: Any) -> Any:
             return path.trace(world, view, depths, seed, px, k * PASS, jnp.minimum((k + 1) * PASS, spp))[0].sum(1)
 
         start = jnp.zeros((px.shape[0], world.plan.channels), world.faces.dtype)
         return _compensated(one, start, -(-spp // PASS)) / spp
 
-    return jax.lax.map(chunk, pixels)
+    return _over_devices(chunk, pixels, world, view, depths, seed)
 
 
 @_picture.def_jvp
@@ -94,8 +107,11 @@ def _picture_jvp(primals: Any, tangents: Any) -> Any:
     lanes = max(1, WIDE // pixels.shape[1]) * pixels.shape[1]
     wide = _chunks(pixels.reshape(-1), lanes)
 
+    def chunk(world: World, view: path.View, depths: path.Depths, seed: Any, px: Any) -> Any:
+        return path.trace_fixed(world, view, depth, depths, seed, px, spp)
+
     def fixed(world: World, view: path.View) -> Any:
-        values = jax.lax.map(lambda px: path.trace_fixed(world, view, depth, depths, seed, px, spp), wide)
+        values = _over_devices(chunk, wide, world, view, depths, seed)
         return values.reshape(-1, values.shape[-1])[: pixels.size].reshape(*pixels.shape, -1)
 
     return eqx.filter_jvp(fixed, (world, view), (tangents[0], tangents[1]))

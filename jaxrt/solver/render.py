@@ -19,7 +19,7 @@ from ..effects import Plan
 from ..effects import plan as make_plan
 from ..parts import SceneError
 from ..sampling.sobol import seed_of
-from ..scene import Scene
+from ..scene import Scene, Structure
 from ..world import prepare
 from . import path
 from .measure import LANES, PASS, depths_of, view_of
@@ -95,7 +95,8 @@ def render(
     began = time.perf_counter()
     order = _tiles(width, height)
     first = np.resize(order, lanes)
-    world = program(prepare, scene, plan)(scene, plan)
+    tables = dataclasses.replace(scene, structure=Structure(), plan=None)  # names and sensors make no other world
+    world = program(prepare, tables, plan)(tables, plan)
     run = program(path.trace, world, view, depths, key, first, np.int32(0), np.int32(1))
     compiled = time.perf_counter()
 

@@ -71,6 +71,12 @@ def by_area(x, n, points, normals, areas):
     return (cos * there / r2**2 * areas).sum()
 
 
+@pytest.fixture(params=[False, True], ids=["by area", "by solid angle"])
+def how(request):
+    """Both ways to sample flat lamps, as overrides of a plan."""
+    return {"solid_angle": request.param}
+
+
 LAMP = {"to_world": moved(0.5, (0, 0, 1), frame((0, 0, -1), (1, 0, 0)))}  # 1 x 1 m at height 1, facing down
 FAR = moved(0.1, (50, 50, 50))
 
@@ -89,14 +95,15 @@ def square(radiance=1.0):
     return jaxrt.Scene.build([jaxrt.Rectangle(emission=radiance, **LAMP)])
 
 
-def test_form_factors_of_a_square():
+def test_form_factors_of_a_square(how):
     """Under its corner and its middle, E = πF (oracles); tilted, by Lambert's formula."""
+    plan = jaxrt.plan(square(), **how)
     corners = [(-0.5, -0.5, 1), (0.5, -0.5, 1), (0.5, 0.5, 1), (-0.5, 0.5, 1)]
-    assert_is(Draws(square(), (0.5, 0.5, 0), (0, 0, 1)).irradiance(), np.pi * 0.138531606)
-    assert_is(Draws(square(), (0, 0, 0), (0, 0, 1)).irradiance(), np.pi * 0.239456470)
+    assert_is(Draws(square(), (0.5, 0.5, 0), (0, 0, 1), plan).irradiance(), np.pi * 0.138531606)
+    assert_is(Draws(square(), (0, 0, 0), (0, 0, 1), plan).irradiance(), np.pi * 0.239456470)
     n = np.array([0.48, 0.36, 0.8])
     x = np.array([-0.3, 0.2, -0.1])
-    assert_is(Draws(square(), x, n).irradiance(), polygon(x, n, corners))
+    assert_is(Draws(square(), x, n, plan).irradiance(), polygon(x, n, corners))
 
 
 def test_radiance_scales_and_the_back_is_dark():
@@ -117,9 +124,9 @@ def test_radiance_scales_and_the_back_is_dark():
         ((0.0, 0.0, 1 - 1e-6), (0, 0, 1)),
     ],
 )
-def test_hard_places_are_finite(x, n):
+def test_hard_places_are_finite(x, n, how):
     """Oracles, hard case 6."""
-    draws = Draws(square(), x, n)
+    draws = Draws(square(), x, n, jaxrt.plan(square(), **how))
     for a in (draws.w, draws.distance, draws.pdf, draws.values):
         assert np.isfinite(a).all()
     np.testing.assert_allclose(np.linalg.norm(draws.w, axis=-1)[draws.pdf > 0], 1.0, atol=1e-5)
@@ -159,6 +166,58 @@ def test_inside_a_sphere_that_shines_inwards():
         assert_is(Draws(scene, x, n).irradiance(), np.pi, 0.02)  # by area, with 1/r² and half of the points behind
     # From outside its inner side is hidden.
     np.testing.assert_array_equal(Draws(scene, (0, 0, 0), (0, 0, 1)).values, 0)
+
+
+# ------------------------------------------------------------------------------------ by solid angle
+
+
+FACES = {
+    "triangle": jaxrt.Mesh(vertices=[(-0.6, -0.5, 1), (-0.3, 0.7, 1.1), (0.7, -0.4, 0.8)], faces=[[0, 1, 2]], emission=1.0),
+    "square": jaxrt.Rectangle(emission=1.0, **LAMP),
+    "rhomboid": jaxrt.Rectangle(emission=1.0, to_world=LAMP["to_world"] @ np.array([[1, 0.8, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1.0]])),
+    "strip": jaxrt.Rectangle(emission=1.0, to_world=LAMP["to_world"] @ np.diag([4.0, 0.04, 1, 1])),
+}
+
+
+@pytest.mark.parametrize("kind", FACES)
+@pytest.mark.parametrize("x", [(0.0, 0.0, 0.0), (0.4, -0.3, 0.7), (3.0, 2.0, -1.0)])
+def test_directions_are_uniform_in_the_solid_angle_of_a_face(kind, x):
+    """The density is 1/σ everywhere, and directions fill the face evenly: moments against a fine sum over it."""
+    scene = jaxrt.Scene.build([FACES[kind]])
+    draws = Draws(scene, x, (0, 0, 1), jaxrt.plan(scene, solid_angle=True))
+    o, a, b = np.asarray(prepare(scene, jaxrt.plan(scene)).geometry[0], np.float64).reshape(3, 3)
+    n = 400
+    u, v = (k.ravel() for k in np.meshgrid((np.arange(n) + 0.5) / n, (np.arange(n) + 0.5) / n))
+    if kind == "triangle":
+        u, v = 1 - np.sqrt(u), v * np.sqrt(u)
+    to = o + u[:, None] * a + v[:, None] * b - x
+    d = np.linalg.norm(to, axis=1)
+    area = np.linalg.norm(np.cross(a, b)) * (0.5 if kind == "triangle" else 1.0)
+    piece = area / u.size * np.abs(to @ np.cross(a, b)) / np.linalg.norm(np.cross(a, b)) / d**3
+    sigma = piece.sum()
+    np.testing.assert_allclose(draws.pdf, 1 / sigma, rtol=2e-3)
+    w, want = draws.w.astype(np.float64), to / d[:, None]
+    for f in (lambda w: w[..., 0], lambda w: w[..., 1], lambda w: w[..., 0] * w[..., 1], lambda w: w[..., 2] ** 2):
+        mean, error = mean_and_error(f(w).mean(1))
+        expected = (f(want) * piece).sum() / sigma
+        assert error < 5e-3
+        assert abs(mean - expected) < 5 * error + 2e-4
+
+
+def test_a_plan_samples_by_solid_angle_where_that_lowers_variance():
+    """Under a lamp as wide as its height above the floor: a part of the variance. Far from it: not worth it."""
+    floor = jaxrt.Rectangle(to_world=np.diag([0.5, 0.5, 1.0, 1.0]))
+
+    def under(height):
+        lamp = jaxrt.Rectangle(emission=1.0, to_world=moved(0.5, (0, 0, height), frame((0, 0, -1), (1, 0, 0))))
+        return jaxrt.Scene.build([floor, lamp])
+
+    near, far = under(0.3), under(5.0)
+    assert jaxrt.plan(near).solid_angle and not jaxrt.plan(far).solid_angle
+    variance = [
+        Draws(near, (0.3, 0.2, 0), (0, 0, 1), jaxrt.plan(near, solid_angle=on)).values.var() for on in (False, True)
+    ]
+    assert variance[1] < 0.3 * variance[0]
 
 
 # --------------------------------------------------------------------------- many lights of every kind
@@ -215,15 +274,15 @@ def expected(kind):
 
 
 @functools.cache
-def everywhere():
-    return Draws(lights()[0], X, N)
+def everywhere(solid_angle=False):
+    return Draws(lights()[0], X, N, jaxrt.plan(lights()[0], solid_angle=solid_angle))
 
 
 @pytest.mark.parametrize("kind", POWERS)
-def test_irradiance_of_each_of_many_lights(kind):
+def test_irradiance_of_each_of_many_lights(kind, how):
     """What the samples on one of the lights add up to is that light's irradiance."""
     # A fifth of the points fall on a light, so its error is a few per cent of a single set's.
-    assert_is(everywhere().irradiance(lights()[1][kind]), POWERS[kind] * expected(kind), 0.02)
+    assert_is(everywhere(**how).irradiance(lights()[1][kind]), POWERS[kind] * expected(kind), 0.02)
 
 
 def test_lights_are_chosen_by_power():
@@ -249,9 +308,9 @@ def test_lights_are_chosen_by_power():
         ("cylinder", 0.98),
     ],
 )
-def test_the_density_of_a_direction_is_that_of_its_sample(kind, accurate):
+def test_the_density_of_a_direction_is_that_of_its_sample(kind, accurate, how):
     """`density` for what a ray meets is the pdf with which `sample` drew that direction."""
-    draws = everywhere()
+    draws = everywhere(**how)
     drawn = (draws.face == lights()[1][kind]) & (draws.pdf > 0)
     same = drawn & (draws.met == draws.face)
     assert same.sum() > 300 and same.sum() > 0.998 * drawn.sum()  # lights do not hide each other here
@@ -260,8 +319,8 @@ def test_the_density_of_a_direction_is_that_of_its_sample(kind, accurate):
 
 
 @pytest.mark.parametrize("scene, x", [(square, (0.3, 0, 0)), (ball, (0.2, 0.1, 0.3))])
-def test_the_density_of_a_lone_light(scene, x):
-    draws = Draws(scene(), x, N)
+def test_the_density_of_a_lone_light(scene, x, how):
+    draws = Draws(scene(), x, N, jaxrt.plan(scene(), **how))
     same = (draws.met == 0) & (draws.pdf > 0)
     assert same.mean() > 0.999
     np.testing.assert_allclose(draws.density[same], draws.pdf[same], rtol=1e-3)

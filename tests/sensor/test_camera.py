@@ -117,7 +117,7 @@ def test_a_picture_is_the_right_way_round():
     at = np.array([-0.8, 4.0, 0.6])  # seen from the origin along +y, left is −x
     lamp = jaxrt.Rectangle(to_world=moved(0.2, at, look_at((0, 0, 0), -at)[:3, :3]), emission=1.0)
     scene = jaxrt.Scene.build([lamp], sensors=[camera((0, 0, 0), (0, 1, 0), 24, 16, 40.0)])
-    image = np.asarray(picture(scene, 0, jaxrt.plan(scene, area_light=False), spp=4, max_depth=1))[..., 0]
+    image = np.asarray(picture(scene, 0, jaxrt.plan(scene, light_sampling=False), spp=4, max_depth=1))[..., 0]
     rows, columns = np.nonzero(image > 0.5)
     half = np.tan(np.radians(20)) * at[1]
     assert columns.mean() + 0.5 == pytest.approx(12 * (1 + at[0] / half), abs=0.6)  # to half a pixel
@@ -131,6 +131,6 @@ def test_near_cuts_what_is_nearer():
     for near in (0.9, 1.1):
         sensor = camera((0, 0, 0), (0, 1, 0), 24, 16, 40.0, near=near)
         scene = jaxrt.Scene.build([lamp], sensors=[sensor])
-        plan = jaxrt.plan(scene, area_light=False)
+        plan = jaxrt.plan(scene, light_sampling=False)
         seen.append(float(jnp.mean(picture(scene, 0, plan, spp=4, max_depth=1))))
     assert seen == [1.0, 0.0]

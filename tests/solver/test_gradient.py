@@ -111,7 +111,7 @@ def agree(a, b, relative, sigmas=4.5):
 
 def furnace():
     scene = box_room(0.5, {k: 1.5 for k in WALLS}, sensors=[camera((0.3, -0.4, 0.2), (-0.5, 0.6, 0.7), 4, 4, 90.0)])
-    return scene, jaxrt.plan(scene, area_light=False)
+    return scene, jaxrt.plan(scene, light_sampling=False)
 
 
 FURNACE = furnace()
@@ -351,7 +351,7 @@ def crystal():
         id="room", vertices=v * [1.0, 1.2, 0.9], faces=f[:, ::-1].copy(), emission=1.0, bsdf=jaxrt.Diffuse(0.5, id="wall")
     )
     scene = jaxrt.Scene.build([room], sensors=[camera((0.1, -0.2, 0.1), (1, 1, 0.2), 16, 16, 60.0)])
-    return Setting(scene, ["room.vertices"], 16, 3, jaxrt.plan(scene, area_light=False))
+    return Setting(scene, ["room.vertices"], 16, 3, jaxrt.plan(scene, light_sampling=False))
 
 
 def test_an_even_room_does_not_change_with_its_shape():

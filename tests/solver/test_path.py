@@ -25,7 +25,7 @@ def empty():
 
 @functools.cache
 def plan(lights=True):
-    return jaxrt.plan(empty(), area_light=lights)
+    return jaxrt.plan(empty(), light_sampling=lights)
 
 
 def room(rho, size=(16, 16), **radiance):
@@ -84,7 +84,7 @@ def test_the_furnace_of_a_mesh():
     v, f = icosphere(1)
     mesh = jaxrt.Mesh(vertices=v, faces=f[:, ::-1].copy(), bsdf=jaxrt.Diffuse(0.9), emission=1.0)
     scene = jaxrt.Scene.build([mesh], sensors=[camera((0.1, 0.2, 0), (1, 0, 0), 8, 8, 90)])
-    flat = jaxrt.plan(scene, area_light=False)
+    flat = jaxrt.plan(scene, light_sampling=False)
     image = jaxrt.render(scene, 8, plan=flat, max_depth=40, rr_depth=10**6).image
     np.testing.assert_allclose(image, (1 - 0.9**40) / (1 - 0.9), rtol=1e-4)
 
@@ -93,7 +93,7 @@ def test_the_furnace_in_float64():
     """With x64 on everything is float64: the furnace holds to its rounding."""
     with jax.enable_x64(True):
         scene = box_room(0.5, {k: 1.5 for k in WALLS}, sensors=empty_sensor())
-        image = picture(scene, 0, jaxrt.plan(scene, area_light=False), spp=2, max_depth=10)
+        image = picture(scene, 0, jaxrt.plan(scene, light_sampling=False), spp=2, max_depth=10)
         assert image.dtype == np.float64
         # The cosine hemisphere's polynomial for the circle is good to 4e-7, but it only turns directions.
         np.testing.assert_allclose(image, 1.5 * (1 - 0.5**10) / (1 - 0.5), rtol=1e-12)
@@ -354,10 +354,11 @@ def test_the_same_seed_gives_the_same_bits():
 def test_another_chunk_gives_the_same_picture_within_rounding():
     scene = room(0.5, (20, 16), ceiling=1.0)
     a, b = (render(scene, 16, 7, max_depth=6, chunk=chunk) for chunk in (256, 77))
-    # Samples are numbered, so the same paths are traced. Another vector width may round a hit differently, and
-    # a path at an edge may then part: no more than one or two pixels of 320.
-    close = np.isclose(a.image, b.image, rtol=1e-6)
+    # Samples are numbered, so the same paths are traced. Another vector width may round a hit or a direction
+    # differently, and a path at an edge may then part: no more than two or three pixels of 320.
+    close = np.isclose(a.image, b.image, rtol=1e-5)
     assert close.mean() > 0.99
+    assert np.median(np.abs(a.image / b.image - 1)) < 1e-6
 
 
 def test_samples_are_numbered():
