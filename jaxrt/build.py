@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from typing import Any
 
@@ -9,6 +10,7 @@ import jax
 import numpy as np
 
 from .brdf import LOBES, MaterialColumns
+from .effects import plan
 from .parts import (
     Conductor,
     Cube,
@@ -28,13 +30,13 @@ from .parts import (
 from .scene import KINDS, Scene, SensorStructure, Slot, Structure
 
 _SQUARE = [[-1, -1, 0, 2, 0, 0, 0, 2, 0]]  # corner, first edge, second edge
-_CUBE = [
-    [-1, -1, 1, 2, 0, 0, 0, 2, 0],
-    [1, -1, -1, -2, 0, 0, 0, 2, 0],
-    [1, -1, 1, 0, 0, -2, 0, 2, 0],
-    [-1, -1, -1, 0, 0, 2, 0, 2, 0],
+_CUBE = [  # the first edge of each side runs as Mitsuba's u
+    [1, -1, 1, 0, 2, 0, -2, 0, 0],
+    [-1, -1, -1, 0, 2, 0, 2, 0, 0],
+    [1, -1, -1, 0, 2, 0, 0, 0, 2],
+    [-1, -1, 1, 0, 2, 0, 0, 0, -2],
     [-1, 1, 1, 2, 0, 0, 0, 0, -2],
-    [-1, -1, -1, 2, 0, 0, 0, 0, 2],
+    [1, -1, -1, 0, 0, 2, -2, 0, 0],
 ]
 _DISK = [[0, 0, 0, 1, 0, 0, 0, 1, 0]]
 
@@ -163,10 +165,13 @@ def build(
         emitter = 0
         if shape.emission is not None:
             wanted = shape.emission_id or f"{ids[k]}.emitter"
+            value = _spread(shape.emission, c, f"{wanted}.radiance")
             if wanted not in emitter_of:
                 emitter_of[wanted] = len(radiance)
                 names.add(f"{names.part(wanted)}.radiance", "radiance", len(radiance))
-                radiance.append(_spread(shape.emission, c, f"{wanted}.radiance"))
+                radiance.append(value)
+            elif (radiance[emitter_of[wanted]] != value).any():
+                raise SceneError(f"{ids[k]}: emitter {wanted} has another radiance elsewhere; give another emission_id")
             emitter = emitter_of[wanted]
         finish = (material_of[id(shape.bsdf)], emitter)
         if finish not in finishes:
@@ -220,7 +225,7 @@ def build(
     join = lambda parts, width: np.concatenate([np.zeros((0, width)), *parts])
     rows, pad = bucket(len(shapes)), bucket(first)
     to_world = f([s.to_world for s in shapes], (4, 4), rows)
-    return Scene(
+    scene = Scene(
         vertices=f(join(vertices, 3), (3,), pad),
         normals=f(join(normals, 3), (3,), pad),
         uvs=f(join(uvs, 2), (2,), pad),
@@ -254,6 +259,7 @@ def build(
             source=source,
         ),
     )
+    return dataclasses.replace(scene, plan=plan(scene))
 
 
 _LOCAL = {

@@ -31,8 +31,13 @@ class Psi(eqx.Module):
     world: World
 
     def __call__(self, x: Any, w: Any, exclude: Any = None) -> SurfacePoint:
-        x = x if isinstance(x, SurfacePoint) else Vec3.of(x)
-        w = Vec3.of(w)
-        if isinstance(x, Vec3):
-            x = Vec3(*(jnp.asarray(c, self.world.faces.dtype) for c in x))
-        return cast(self.world, x, w, exclude)
+        return cast(self.world, x if isinstance(x, SurfacePoint) else self._vector(x), self._vector(w), exclude)
+
+    def occluded(self, x: Any, w: Any, distance: Any, exclude: Any = None) -> Any:
+        """Whether a face (but those of `exclude`) lies before `distance` (m) from x along ω."""
+        w = self._vector(w)
+        o = leave(self.world, x, w) if isinstance(x, SurfacePoint) else self._vector(x)
+        return self.world.search.occluded(o, w, jnp.asarray(distance, self.world.faces.dtype), exclude)
+
+    def _vector(self, a: Any) -> Vec3:
+        return Vec3(*(jnp.asarray(c, self.world.faces.dtype) for c in Vec3.of(a)))

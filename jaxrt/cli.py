@@ -11,6 +11,7 @@ import contextlib
 import math
 import os
 import re
+import signal
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -59,12 +60,25 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def process() -> NoReturn:
-    """`main` as a process of its own, which ends at once: taking jax apart piece by piece would cost .3 s."""
+    """`main` as a process of its own. It ends at once, for taking jax apart piece by piece would cost .3 s; so does
+    Ctrl-C, which inside an import or a callback of jax would be swallowed or crash."""
+    signal.signal(signal.SIGINT, _interrupted)
     code = main()
     with contextlib.suppress(OSError, ValueError):  # a closed pipe
         sys.stdout.flush()
         sys.stderr.flush()
     os._exit(code)
+
+
+def _interrupted(*_: Any) -> NoReturn:
+    image = sys.modules.get("jaxrt.files.image")
+    for part in list(image.unfinished) if image is not None else ():
+        with contextlib.suppress(OSError):
+            os.unlink(part)
+    cursor = "\x1b[?25h\n" if sys.stderr.isatty() else ""  # the progress bar hides it
+    with contextlib.suppress(OSError):
+        os.write(2, f"{cursor}jaxrt: interrupted; what was being written is not there\n".encode())
+    os._exit(130)
 
 
 def _told(error: Exception) -> tuple[str, int] | None:
@@ -154,6 +168,7 @@ def _parser() -> argparse.ArgumentParser:
     add("--seed", metavar="S", type=_whole(0, (1 << 62)), default=0, help="the same seed gives the same picture")
     add("--size", metavar="WxH", type=_size, help="size of the picture in pixels")
     add("--sensor", metavar="I", type=_whole(0), default=0, help="number of the scene's sensor, from 0")
+    add("--memory", metavar="MB", type=_whole(1), help="what the render may take; default: a quarter of the machine's")
     add("--exposure", metavar="E", type=_stops, default=0.0, help="brightness of the PNG in stops")
     render.set_defaults(run=_render)
 
@@ -186,6 +201,7 @@ def _render(args: argparse.Namespace) -> None:
             method=args.method,
             max_depth=args.max_depth,
             sensor=args.sensor,
+            memory=args.memory * 1e6 if args.memory else None,
             progress=progress,
         )
     sol.save(exr)
@@ -281,7 +297,7 @@ def _doctor(args: argparse.Namespace) -> None:
 
     rows = [("jaxrt", __version__), ("python", f"{platform.python_version()}, {sys.platform} {platform.machine()}")]
     rows += [(package, version(package)) for package in ("jax", "jaxlib", "numpy", "equinox", "mitsuba")]
-    from .solver.render import cores
+    from .solver.render import cores, machine_memory
 
     import jax  # isort: skip
 
@@ -289,8 +305,11 @@ def _doctor(args: argparse.Namespace) -> None:
         devices = ", ".join(str(d) for d in jax.devices())
     except RuntimeError as error:  # a driver that does not start
         devices = f"none: {' '.join(str(error).split())}"
-    rows += [("devices", devices), ("cores", str(cores())), ("memory", _memory())]
-    rows += [("ray casting", "dense: yes; bvh: not yet; embree: not yet"), ("cache", _cache_state())]
+    rows += [("devices", devices), ("cores", str(cores())), ("memory", f"{machine_memory() / 2**30:.1f} GiB")]
+    from .intersect import BACKENDS, refusal
+
+    casting = [f"{name}: {'yes' if (why := refusal(name)) is None else f'no, {why}'}" for name in BACKENDS]
+    rows += [("ray casting", "; ".join(casting)), ("cache", _cache_state())]
     for name, value in rows:
         print(f"{name:<12} {value}")
 
@@ -362,25 +381,12 @@ def _cache_refusal() -> str | None:
 
 
 def _use_cache() -> None:
-    """Keep compiled programs of any size and compile time, unless switched off; a render never fails for it."""
+    """Keep compiled programs, unless switched off; a render never fails for it."""
     if _cache_refusal():
         return
-    import warnings
-
-    import jax
-
-    wanted = {
-        "jax_compilation_cache_dir": str(_cache_folder()),
-        "jax_persistent_cache_min_compile_time_secs": 0,
-        "jax_persistent_cache_min_entry_size_bytes": -1,
-    }
-    for name, value in wanted.items():
-        with contextlib.suppress(AttributeError):  # a jax without that option
-            jax.config.update(name, value)
     from . import compiler
 
     compiler.folder = _cache_folder() / "programs"
-    warnings.filterwarnings("ignore", "Error (reading|writing) persistent compilation cache")  # a full disk
 
 
 def _cache_state() -> str:
@@ -389,10 +395,3 @@ def _cache_state() -> str:
         return refusal
     files = [f for f in _cache_folder().rglob("*") if f.is_file()]
     return f"{_cache_folder()}, {len(files)} files, {sum(f.stat().st_size for f in files) / 1e6:.1f} MB"
-
-
-def _memory() -> str:
-    try:
-        return f"{os.sysconf('SC_PHYS_PAGES') * os.sysconf('SC_PAGE_SIZE') / 2**30:.1f} GiB"
-    except (AttributeError, OSError, ValueError):  # not POSIX
-        return "unknown"

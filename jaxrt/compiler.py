@@ -31,13 +31,16 @@ def programs() -> int:
     return len(_programs)
 
 
-def program(f: Callable[..., Any], *like: Any) -> Callable[..., Any]:
-    """f compiled for arguments like these (arrays or shapes); equal structures and shapes share one program."""
+def program(f: Callable[..., Any], *like: Any, keep: bool = True) -> Callable[..., Any]:
+    """f compiled for arguments like these (arrays or shapes); equal structures and shapes share one program.
+
+    `keep`: whether later processes may have it, which programs that call back into Python do not allow.
+    """
     leaves, tree = jax.tree.flatten(like)
     shapes = tuple((tuple(leaf.shape), str(leaf.dtype)) for leaf in leaves)
     key = (f, tree, shapes)
     if key not in _programs:
-        _programs[key] = _make(f, leaves, tree, _file(f, tree, shapes))
+        _programs[key] = _make(f, leaves, tree, _file(f, tree, shapes) if keep else None)
     return _programs[key]
 
 

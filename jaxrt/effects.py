@@ -16,6 +16,7 @@ import jax
 import numpy as np
 
 from .brdf import LOBES, MaterialColumns
+from .intersect import BACKENDS, choose, refusal
 from .near_lamps import solid_angle_pays
 from .parts import SceneError
 from .scene import CAMERAS, KINDS, Scene
@@ -42,6 +43,7 @@ class Plan:
     area_light: bool
     enclosure: bool
     bounces: bool
+    hide_emitters: bool
     backend: str
     out_channels: int
     reasons: tuple[tuple[str, bool, str], ...] = dataclasses.field(default=(), compare=False, repr=False)
@@ -103,12 +105,13 @@ def _grey(view: _View) -> bool:
     return same
 
 
-def plan(scene: Scene, free: str | Iterable[str] | None = (), **overrides: bool) -> Plan:
+def plan(scene: Scene, free: str | Iterable[str] | None = (), *, backend: str | None = None, **overrides: bool) -> Plan:
     """The plan of a scene, made on the host from concrete values.
 
     `free`: names or patterns of parameters that will move; () means all of them (the plan looks at
-    structure only), None means none. `overrides` force an effect in or out by name, as
-    `enclosure=False`. Raises `SceneError` for unknown names.
+    structure only), None means none. `backend`: of the ray search, by default chosen by number of faces and
+    machine. `overrides` force an effect in or out by name, as `enclosure=False`. Raises `SceneError` for
+    unknown names and for a backend that does not run here.
     """
     view = _View(scene, free)
     structure = scene.structure
@@ -121,13 +124,11 @@ def plan(scene: Scene, free: str | Iterable[str] | None = (), **overrides: bool)
     anisotropic = bool((alpha[:, 0] != alpha[:, 1]).any())
     grey = _grey(view)
 
-    emitting = {}
     shape_emitter = view.array["finishes"][view.array["shape_finish"], 1]
     dark = {r for r in view.radiance_rows if view.fixed("radiance", r) and not view.array["radiance"][r].any()}
-    for face in view.lights[view.lights >= 0]:
-        row = int(shape_emitter[view.face_shape[face]])
-        if row not in dark:
-            emitting.setdefault(KINDS[np.searchsorted(np.cumsum(scene.blocks), face, side="right")], []).append(face)
+    lights = view.lights[view.lights >= 0]
+    emitting = bool(set(shape_emitter[view.face_shape[lights]].tolist()) - dark)
+    kinds_of_lights = {KINDS[k] for k in np.searchsorted(np.cumsum(scene.blocks), lights, side="right")}
     if any(r > 1 for r in dark):
         view.assumes.append(("*.radiance", "emitters of radiance 0 stay dark"))
     albedo = view.field("reflectance")
@@ -141,19 +142,28 @@ def plan(scene: Scene, free: str | Iterable[str] | None = (), **overrides: bool)
         "enclosure": enclosure,
         "bounces": bounces,
         "anisotropic": anisotropic,
-        "area_light": bool(emitting),
-        "light_sampling": bool(emitting),
-        "solid_angle": solid_angle_pays(scene, [f for faces in emitting.values() for f in faces]),
+        "area_light": emitting,
+        "light_sampling": emitting,
+        "solid_angle": emitting and solid_angle_pays(scene, lights),
         "rgb": not grey,
     }
     for name, value in overrides.items():
         if name not in chosen:
             raise SceneError(f"{name}: no effect of that name to force; there are {', '.join(sorted(chosen))}")
         chosen[name] = bool(value)
-    sampled = chosen["light_sampling"] and chosen["area_light"] and bool(emitting)
+    sampled = chosen["light_sampling"] and chosen["area_light"] and emitting
     chosen["solid_angle"] &= sampled
 
-    n_lights = sum(map(len, emitting.values()))
+    if backend is None:
+        backend, why_backend = choose(int(view.counts[:2].sum()))
+    elif backend not in BACKENDS:
+        raise SceneError(f"backend: {backend!r} is not known; there are {', '.join(BACKENDS)}")
+    elif (refused := refusal(backend)) is not None:
+        raise SceneError(f"backend: {backend} cannot be used: {refused}")
+    else:
+        why_backend = "asked for"
+
+    n_lights = len(lights) if emitting else 0  # dark ones too: their rows are among those that are drawn from
     say: Callable[[bool, str, str], str] = lambda on, yes, no: yes if on else no
     films, cameras = {s.film[2] for s in structure.sensors}, {s.kind for s in structure.sensors}
     used = lambda on, what: f"a {what} uses it" if on else f"no {what}"
@@ -169,7 +179,9 @@ def plan(scene: Scene, free: str | Iterable[str] | None = (), **overrides: bool)
         ("solid_angle", chosen["solid_angle"], say(chosen["solid_angle"], "lamps are large and near", "no such lamps")),
         ("light_selection", n_lights > 1, say(n_lights > 1, "by power", "at most one emitting face")),
         ("enclosure", chosen["enclosure"], say(enclosure, "constant radiance", "black")),
+        ("hide_emitters", structure.asked().hide_emitters, "from the camera, if the integrator asks"),
         ("bounces", chosen["bounces"], say(bounces, "surfaces reflect", "every reflectance is 0")),
+        *((f"rays:{name}", name == backend, why_backend if name == backend else "") for name in BACKENDS),
         *((f"sensor:{k}", k in cameras, used(k in cameras, "sensor")) for k in CAMERAS),
         *((f"film:{k}", k in films, used(k in films, "film")) for k in ("box", "tent", "gaussian")),
     ]
@@ -186,13 +198,14 @@ def plan(scene: Scene, free: str | Iterable[str] | None = (), **overrides: bool)
         twosided=twosided,
         anisotropic=chosen["anisotropic"],
         smooth_normals=chosen["smooth_normals"],
-        light_kinds=tuple(k for k in KINDS if k in emitting) if sampled else (),
+        light_kinds=tuple(k for k in KINDS if k in kinds_of_lights) if sampled else (),
         many_lights=n_lights > 1,
         solid_angle=chosen["solid_angle"],
         area_light=chosen["area_light"],
         enclosure=chosen["enclosure"],
         bounces=chosen["bounces"],
-        backend="dense",
+        hide_emitters=structure.asked().hide_emitters,
+        backend=backend,
         out_channels=scene.channels,
         reasons=tuple(reasons),
         assumes=tuple(view.assumes),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import sys
 from pathlib import Path
 from typing import Any
@@ -10,7 +9,6 @@ from typing import Any
 import numpy as np
 
 from .build import build
-from .effects import plan
 from .files import load_description
 from .parts import Description, Mesh
 from .scene import Scene
@@ -25,7 +23,7 @@ def load(path: str | Path, /, **defaults: Any) -> Scene:
     description = load_description(path, **defaults)
     for note in (*description.notes, *_beyond(description)):
         print(note if str(path) in note else f"{path}: {note}", file=sys.stderr)
-    scene = build(
+    return build(
         description.shapes,
         sensors=description.sensors,
         enclosure=description.enclosure,
@@ -33,7 +31,6 @@ def load(path: str | Path, /, **defaults: Any) -> Scene:
         channels=3,
         source=str(path),
     )
-    return dataclasses.replace(scene, plan=plan(scene))
 
 
 def _beyond(description: Description) -> list[str]:

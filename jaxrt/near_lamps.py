@@ -7,7 +7,7 @@ import numpy as np
 from .scene import Scene
 
 
-def solid_angle_pays(scene: Scene, lights: list[int]) -> bool:
+def solid_angle_pays(scene: Scene, lights: np.ndarray) -> bool:
     """Whether sampling the flat ones of these faces by solid angle lowers the variance of direct light enough.
 
     True if at random points of the surfaces, each weighted by its light, the squared error of a sample by area
@@ -15,7 +15,7 @@ def solid_angle_pays(scene: Scene, lights: list[int]) -> bool:
     """
     counts, blocks = np.asarray(scene.counts), scene.blocks
     flat = np.concatenate([np.arange(counts[0]), blocks[0] + np.arange(counts[1])])
-    lamps = np.array([f for f in lights if f < sum(blocks[:2])], int)
+    lamps = lights[lights < sum(blocks[:2])]
     if not lamps.size:
         return False
     some = lambda faces: np.random.default_rng(0).choice(faces, 4096) if len(faces) > 4096 else faces

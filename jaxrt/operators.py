@@ -15,23 +15,16 @@ import jax
 import jax.numpy as jnp
 
 from .casting import Psi
-from .effects import plan as make_plan
 from .rules import BrdfRule, MisRule
 from .sampling.sobol import Stream, seed_of
 from .sampling.warp import cosine_hemisphere, uniform_disk, uniform_sphere, uniform_triangle
 from .scene import Scene
 from .surface import SurfacePoint, radiance_of, surface_point
 from .vector import Frame, Spectrum, Vec3, cross, normalise, where
-from .world import World, face_areas, prepare
+from .world import World, face_areas, world_of
 
 Radiance = Callable[[SurfacePoint, Vec3, Stream], Spectrum]
 Operator = Callable[[Any], Any]
-
-
-def world_of(scene: Scene | World) -> World:
-    if isinstance(scene, World):
-        return scene
-    return prepare(scene, scene.plan or make_plan(scene))
 
 
 class Emission(eqx.Module):

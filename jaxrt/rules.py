@@ -7,6 +7,7 @@ densities are held fixed under differentiation; f_r cosθ is not.
 
 from __future__ import annotations
 
+import functools
 from typing import Any
 
 import equinox as eqx
@@ -17,10 +18,11 @@ from jax.lax import stop_gradient as sg
 
 from . import brdf, emitter
 from .casting import cast
+from .gradient import material
 from .sampling.sobol import Drawn, Stream
 from .surface import Shading, SurfacePoint, shading_at
 from .vector import Spectrum, Vec3, where
-from .world import World
+from .world import World, world_of
 
 
 class Node(eqx.Module):
@@ -84,7 +86,7 @@ def _averaged(nodes: Node, n: int) -> Node:
 class BrdfRule(eqx.Module):
     """n directions drawn from f_r cosθ; delta lobes are nodes with finite weight."""
 
-    world: World
+    world: World = eqx.field(converter=world_of)
     n: int = eqx.field(static=True, default=1)
 
     def __call__(self, x: SurfacePoint, w: Vec3, s: Stream) -> Node:
@@ -95,18 +97,25 @@ class BrdfRule(eqx.Module):
 class LightRule(eqx.Module):
     """n directions drawn towards area lights."""
 
-    world: World
+    world: World = eqx.field(converter=world_of)
     n: int = eqx.field(static=True, default=1)
 
     def __call__(self, x: SurfacePoint, w: Vec3, s: Stream) -> Node:
-        at = shading_at(self.world, x, w)
-        return _averaged(_nodes(self.n, lambda t: light_node(self.world, x, at, t)[0], s), self.n)
+        world, at = self.world, shading_at(self.world, x, w)
+
+        def one(t: Stream) -> Node:
+            node, light = light_node(world, x, at, t)
+            # A light behind another one: G would give the radiance of the one in front.
+            behind = cast(world, x, node.w).face != light.face
+            return eqx.tree_at(lambda a: a.weight, node, node.weight * jnp.where(behind, 0.0, 1.0))
+
+        return _averaged(_nodes(self.n, one, s), self.n)
 
 
 class MisRule(eqx.Module):
     """n nodes of each kind, weighted by the balance heuristic: the rule of D."""
 
-    world: World
+    world: World = eqx.field(converter=world_of)
     n: int = eqx.field(static=True, default=1)
 
     def __call__(self, x: SurfacePoint, w: Vec3, s: Stream) -> Node:
@@ -119,7 +128,11 @@ class MisRule(eqx.Module):
         def other(node: Node) -> Node:
             y = cast(world, x, node.w)
             share = balance(node.pdf, emitter.density(world, x.position, y, node.w))
-            return eqx.tree_at(lambda a: a.weight, node, node.weight * sg(jnp.where(node.delta, 1.0, share)))
+            # Emission that it meets is differentiated like that of light samples, see gradient.material.
+            slopes = material.slope(functools.partial(reflected, world), at, node.w)
+            form = material.met(world, x.position, y, slopes, ~node.delta & (y.light_density > 0))
+            weight = node.weight * form * sg(jnp.where(node.delta, 1.0, share))
+            return eqx.tree_at(lambda a: a.weight, node, weight)
 
         def light(node: Node) -> Node:
             share = balance(node.pdf, reflection_density(world, at, node.w))
@@ -134,7 +147,7 @@ class QuadratureRule(eqx.Module):
     `turn` shifts φ by a part of a step. Delta lobes have no place here.
     """
 
-    world: World
+    world: World = eqx.field(converter=world_of)
     n_theta: int = eqx.field(static=True, default=8)
     n_phi: int = eqx.field(static=True, default=16)
     turn: float = eqx.field(static=True, default=0.5)

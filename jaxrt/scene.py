@@ -12,6 +12,7 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int32
 
@@ -111,10 +112,11 @@ class Scene(eqx.Module):
 
     @classmethod
     def build(cls, shapes: Sequence[Any], **parts: Any) -> Scene:
-        """A scene from parts: `shapes`, and `sensors=`, `enclosure=`, `integrator=`, `channels=`. See `jaxrt.build`."""
+        """A scene from parts: `shapes`, `sensors=`, `enclosure=`, ...; see `jaxrt.build.build`."""
         from .build import build
 
-        return build(shapes, **parts)
+        with jax.ensure_compile_time_eval():  # also under jit
+            return build(shapes, **parts)
 
     @property
     def channels(self) -> int:
@@ -133,6 +135,13 @@ class Scene(eqx.Module):
         shapes = [f"{name} ({stop - start} {kind})" for name, kind, start, stop in self.structure.shapes]
         more = [f"and {len(shapes) - 8} more"] if len(shapes) > 8 else []
         return f"Scene({self.structure.source or 'from parts'}: {', '.join(shapes[:8] + more)})"
+
+
+def in_working_precision(tree: Any) -> Any:
+    """A tree whose floats are all of JAX's default type: float32, or float64 under `jax_enable_x64`."""
+    real = jnp.result_type(float)
+    floating = lambda a: eqx.is_array(a) and jnp.issubdtype(a.dtype, jnp.floating) and a.dtype != real
+    return jax.tree.map(lambda a: a.astype(real) if floating(a) else a, tree)
 
 
 def params(scene: Scene) -> dict[str, Array]:

@@ -108,6 +108,10 @@ def surface_point(world: World, face: Any, o: Vec3, d: Vec3) -> SurfacePoint:
         shading, extra = normalise(where(given, smooth, normal)), extra + 9
     if plan.anisotropic:
         tangent = _vec(row, extra)
+        if world.blocks[KINDS.index("disk")]:  # from the centre outwards
+            disk = (face >= first("disk")) & (face < first("sphere"))
+            middle = _vec(_row(world.geometry, jnp.maximum(face, 0)), 0)
+            tangent = where(disk, p + center - middle, tangent)
         for kind in ("sphere", "cylinder"):
             if world.blocks[KINDS.index(kind)]:
                 tangent = where(face >= first(kind), cross(_vec(row, FACE["u"]), normal), tangent)

@@ -156,9 +156,7 @@ class Frame(eqx.Module):
         sign = jnp.where(n.z >= 0, 1.0, -1.0)
         a = -1.0 / (sign + n.z)
         b = n.x * n.y * a
-        return cls(
-            Vec3(1.0 + sign * n.x * n.x * a, sign * b, -sign * n.x), Vec3(b, sign + n.y * n.y * a, -n.y), n
-        )
+        return cls(Vec3(1.0 + sign * n.x * n.x * a, sign * b, -sign * n.x), Vec3(b, sign + n.y * n.y * a, -n.y), n)
 
     @classmethod
     def along(cls, n: Vec3, tangent: Vec3) -> Frame:

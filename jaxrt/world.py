@@ -16,6 +16,7 @@ from jaxtyping import Array, Bool, Float
 
 from .brdf import MaterialColumns
 from .effects import Plan
+from .effects import plan as make_plan
 from .intersect import Search, affine, build_search
 from .scene import KINDS, Scene
 
@@ -107,7 +108,7 @@ def _face_geometry(scene: Scene, plan: Plan) -> tuple[Any, Any, list[Any]]:
                 shading = _unit(jnp.einsum("pij,pkj->pki", cof, scene.normals[scene.triangles]))
             normals.append(shading.reshape(n, 9))
         if plan.anisotropic:
-            tangents.append(_tangent(scene, a, b) if kind == "triangle" else a)
+            tangents.append(_tangent(scene, a, b) if kind == "triangle" else a if kind != "disk" else 0.0 * a)
     side = jnp.concatenate(sides) * scene.flip[scene.face_shape]
     extra = ([jnp.concatenate(normals)] if normals else []) + ([jnp.concatenate(tangents)] if tangents else [])
     return jnp.concatenate(geometry), side, extra
@@ -170,8 +171,10 @@ def prepare(scene: Scene, plan: Plan) -> World:
     total = jnp.where(real, power, 0).sum()
     chance = jnp.where(total > 0, 0.95 * power / jnp.where(total > 0, total, 1.0) + 0.05 / n, 1.0 / n)
     chance = jnp.where(real, chance, 0.0)
-    density = jnp.zeros(scene.faces).at[jnp.where(real, scene.lights, scene.faces)].add(
-        chance / jnp.where(real, area[face], 1.0), mode="drop"
+    density = (
+        jnp.zeros(scene.faces)
+        .at[jnp.where(real, scene.lights, scene.faces)]
+        .add(chance / jnp.where(real, area[face], 1.0), mode="drop")
     )
 
     o = geometry[:, :3] - sg(center)[None]
@@ -220,4 +223,11 @@ def prepare(scene: Scene, plan: Plan) -> World:
     )
 
 
-__all__ = ["FACE", "World", "prepare"]
+def world_of(scene: Scene | World, plan: Plan | None = None) -> World:
+    """The world of a scene under its own plan (made here if it has none) or another; a world as it is."""
+    if isinstance(scene, World):
+        return scene
+    return prepare(scene, plan or scene.plan or make_plan(scene))
+
+
+__all__ = ["FACE", "World", "prepare", "world_of"]

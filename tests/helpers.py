@@ -103,6 +103,9 @@ def world_of(scene, plan=None):
     return _prepare(scene, plan=plan or jaxrt.plan(scene))
 
 
+search: dict = {}  # `backend="..."` for a test that goes through all of them, see intersect/test_search.py
+
+
 @functools.partial(jax.jit, static_argnames="plan")
 def _cast(scene, o, d, plan, exclude):
     world = prepare(scene, plan)
@@ -112,7 +115,7 @@ def _cast(scene, o, d, plan, exclude):
 def hits(scene, o, d, exclude=None, plan=None):
     """ψ from points along directions, (N, 3) each: a `SurfacePoint` with numpy leaves."""
     o, d = (np.asarray(a, np.float32) for a in np.broadcast_arrays(o, d))
-    x = _cast(scene, o, d, plan or jaxrt.plan(scene), exclude)
+    x = _cast(scene, o, d, plan or jaxrt.plan(scene, **search), exclude)
     return jax.tree.map(np.asarray, x)
 
 
@@ -131,7 +134,7 @@ def _bounce(scene, o, d, local, plan):
 def bounces(scene, o, d, local, plan=None):
     """First hits x, directions w with local coordinates `local` about x's normal, and what x sees along w."""
     o, d, local = (np.asarray(a, np.float32) for a in np.broadcast_arrays(o, d, local))
-    return jax.tree.map(np.asarray, _bounce(scene, o, d, local, plan or jaxrt.plan(scene)))
+    return jax.tree.map(np.asarray, _bounce(scene, o, d, local, plan or jaxrt.plan(scene, **search)))
 
 
 @functools.partial(jax.jit, static_argnames="plan")
@@ -143,7 +146,7 @@ def _occluded(scene, o, d, distance, exclude, plan):
 def occluded(scene, o, d, distance, exclude=None):
     o, d = (np.asarray(a, np.float32) for a in np.broadcast_arrays(o, d))
     distance = np.broadcast_to(np.asarray(distance, np.float32), o.shape[:1])
-    return np.asarray(_occluded(scene, o, d, distance, exclude, jaxrt.plan(scene)))
+    return np.asarray(_occluded(scene, o, d, distance, exclude, jaxrt.plan(scene, **search)))
 
 
 @functools.partial(jax.jit, static_argnames=("plan", "spp", "max_depth", "rr_depth"))

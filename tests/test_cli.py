@@ -4,15 +4,17 @@ import io
 import json
 import os
 import re
+import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import jaxrt
-from jaxrt import cli
+from jaxrt import cli, compiler
 from jaxrt.files.image import read_exr, write_exr
 from jaxrt.parts import SceneError
 
@@ -410,3 +412,32 @@ def test_help_and_mistakes_come_without_jax(argv, code):
     script = f"import sys; from jaxrt.cli import main; code = main({argv}); print('jax' in sys.modules); sys.exit(code)"
     done = process("-c", script)
     assert (done.returncode, done.stdout.splitlines()[-1]) == (code, "False")
+
+
+def test_kept_programs_run_under_any_name_of_a_scene(run, folder, scene, monkeypatch):
+    """Equal programs are kept once, whatever the file is called, and what was kept runs."""
+    monkeypatch.delenv("JAXRT_CACHE", raising=False)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(folder / "cache"))
+    one, two = scene(), scene(name="copy.xml")
+    try:
+        for k, path in enumerate((one, two, two)):
+            compiler._programs.clear()
+            run("render", path, "-o", folder / f"{k}.exr")
+        assert compiler.folder is not None and len(list(compiler.folder.iterdir())) == 2  # world and picture
+    finally:
+        compiler.folder = None
+    first, again = (read_exr(folder / f"{k}.exr")[0] for k in (0, 2))
+    np.testing.assert_array_equal(first, again)
+
+
+def test_ctrl_c_ends_a_process_at_once(scene, tmp_path):
+    """At any time: exit code 130, one line, and nothing half written."""
+    argv = [sys.executable, "-m", "jaxrt", "render", scene(), "--spp", "100000000", "-o", str(tmp_path / "out.exr")]
+    for seconds in (1.0, 5.0):
+        job = subprocess.Popen(argv, stderr=subprocess.PIPE, text=True, env={**os.environ, "JAXRT_CACHE": "off"})
+        time.sleep(seconds)
+        job.send_signal(signal.SIGINT)
+        _, err = job.communicate(timeout=60)
+        assert job.returncode == 130
+        assert "interrupted" in err and err.count("\n") == 1
+        assert not list(tmp_path.glob("*out*"))

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers import WALLS, box_room, hits, mean_and_error, moved, sphere_directions, world_of
+from helpers import WALLS, box_room, frame, hits, mean_and_error, moved, sphere_directions, world_of
 
 import jaxrt
 from jaxrt.casting import cast
@@ -92,7 +92,9 @@ def test_g_is_what_psi_sees():
     got = evaluate(room(), _transported, o, d)[:, 0]
     x = first_wall(o.astype(np.float64), d.astype(np.float64))
     y = first_wall(x * (1 - 1e-9), -d.astype(np.float64))
-    np.testing.assert_allclose(got, A.at(y, d.astype(np.float64)), atol=2e-5)  # a start 2e-6 off the wall, over a cosine
+    np.testing.assert_allclose(
+        got, A.at(y, d.astype(np.float64)), atol=2e-5
+    )  # a start 2e-6 off the wall, over a cosine
 
 
 def _twice(world):
@@ -177,7 +179,17 @@ def _pairs(world):
     G, K = jaxrt.G(world), jaxrt.K(world, jaxrt.BrdfRule(world, 4))
     T = compose(K, G)
     # T A is random; inner gives its two sides numbers of their own, so that ⟨T A, T A⟩ is unbiased.
-    yield from ((G(A), B), (A, G(B)), (K(A), B), (A, K(B)), (T(A), B), (A, adjoint(T)(B)), (A, T(B)), (T(A), T(A)), (A, A))
+    yield from (
+        (G(A), B),
+        (A, G(B)),
+        (K(A), B),
+        (A, K(B)),
+        (T(A), B),
+        (A, adjoint(T)(B)),
+        (A, T(B)),
+        (T(A), T(A)),
+        (A, A),
+    )
 
 
 @functools.cache
@@ -426,3 +438,52 @@ def test_the_series_by_quadrature_is_the_path_method(scene):
     # 800 nodes: the lit face's outline cuts some 60 of them, each in or out by half, which leaves √60/2/800 = 5e-3.
     assert (path_error < 3e-3 * path).all()
     np.testing.assert_allclose(got, path, rtol=1.5e-2)
+
+
+def test_a_lamp_behind_another_one_does_not_count():
+    """Light sampling in D must not take the radiance of the lamp in front for that of the one behind it."""
+    shapes = [jaxrt.Rectangle(to_world=moved(5.0, (0, 0, 0)))]
+    for z in (1.0, 2.0):
+        shapes.append(jaxrt.Rectangle(emission=1.0, to_world=moved(1.0, (0, 0, z), frame((0, 0, -1), (1, 0, 0)))))
+    scene = jaxrt.Scene.build(shapes)
+    world = world_of(scene)
+
+    @jax.jit
+    def mean(world):
+        x, up = jaxrt.psi(world)(jnp.asarray([0.0, 0, 0.5]), jnp.asarray([0.0, 0, -1])), Vec3(0.0, 0.0, 1.0)
+        one = lambda i: jaxrt.D(world)(x, up, Stream(i, jnp.uint32(3))).array()
+        return jax.vmap(one)(jnp.arange(8192, dtype=jnp.uint32)).mean()
+
+    x = 1 / np.sqrt(2)  # on the axis of a square of half-side 1 at distance 1: F = 4/(2π) 2 X atan X
+    want = 0.5 * 4 / np.pi * x * np.arctan(x)
+    assert float(mean(world)) == pytest.approx(want, rel=5e-3)
+
+
+def test_direct_light_is_differentiated_in_one_form():
+    """d/dz of D under a lamp that rises, light and BRDF samples together: Lambert's formula."""
+    lamp = moved(0.5, (0, 0, 1), frame((0, 0, -1), (1, 0, 0)))
+    floor = jaxrt.Rectangle(to_world=moved(5.0, (0, 0, 0)), bsdf=jaxrt.Diffuse(0.5))
+    scene = jaxrt.Scene.build([floor, jaxrt.Rectangle(id="lamp", emission=1.0, to_world=lamp)])
+
+    @jax.jit
+    def direct(z):
+        pose = jnp.asarray(lamp, jnp.float32).at[2, 3].set(z)
+        world = prepare(jaxrt.with_params(scene, {"lamp.to_world": pose}), jaxrt.plan(scene))
+        x, up = jaxrt.psi(world)(jnp.asarray([0.0, 0, 0.5]), jnp.asarray([0.0, 0, -1])), Vec3(0.0, 0.0, 1.0)
+        one = lambda i: jaxrt.D(world)(x, up, Stream(i, jnp.uint32(3))).array()
+        return jax.vmap(one)(jnp.arange(8192, dtype=jnp.uint32)).mean()
+
+    def exact(z):
+        x = 0.5 / np.hypot(z, 0.5)
+        return 0.5 * 4 / np.pi * x * np.arctan(x)
+
+    assert float(jax.grad(direct)(1.0)) == pytest.approx((exact(1.001) - exact(0.999)) / 0.002, rel=0.01)
+
+
+def test_a_ray_may_be_asked_for_what_hides_a_point():
+    psi = jaxrt.psi(furnace())
+    far = psi([0, 0, 0], [0, 0, 1]).distance
+    assert not psi.occluded([0, 0, 0], [0, 0, 1], 0.9 * far) and psi.occluded([0, 0, 0], [0, 0, 1], 1.1 * far)
+    face = psi([0, 0, 0], [0, 0, 1]).face
+    assert not psi.occluded([0, 0, 0], [0, 0, 1], 1.1 * far, exclude=face)
+    assert psi([0, 0, 0], [0, 0, 1], exclude=jnp.asarray([face, 77])).face != face

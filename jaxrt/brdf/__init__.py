@@ -20,6 +20,10 @@ from .lobe import Lobe
 LOBES: dict[str, Lobe] = {lobe.name: lobe for lobe in (diffuse.LOBE, mirror.LOBE, ggx.LOBE)}
 
 
+SMOOTHEST = 1e-4
+"""Roughness below which a lobe would leave float32; an optimisation may walk there."""
+
+
 class MaterialColumns:
     """Which columns of a material's row hold which field, for a number of channels and a set of lobes."""
 
@@ -58,7 +62,8 @@ class Material(eqx.Module):
         values: dict[str, Any] = {}
         for name, (start, stop) in columns.at.items():
             cells = tuple(row[j] for j in range(start, stop))
-            values[name] = {"lobe": cells[0], "twosided": cells[0], "alpha": cells}.get(name, Spectrum(cells))
+            smooth = tuple(jnp.maximum(c, SMOOTHEST) for c in cells) if name == "alpha" else None
+            values[name] = {"lobe": cells[0], "twosided": cells[0], "alpha": smooth}.get(name, Spectrum(cells))
         return cls(**values)
 
 

@@ -33,6 +33,7 @@ class LightSample(eqx.Module):
     pdf: Any
     face: Any
     jacobian: Any  # 1; carries derivatives, see gradient.material
+    hidden: Any  # whether the light's own face lies before it: the near side of a tube that shines inwards
 
 
 def _choose(world: World, u: Any) -> tuple[Any, Any]:
@@ -82,6 +83,16 @@ def _cylinder_normal(row: Any, u: tuple[Any, Any]) -> Vec3:
     return across * c + cross(axis, across) * s
 
 
+def _behind_own_side(x: Vec3, w: Vec3, distance: Any, cos: Any, row: Any, epsilon: Any) -> Any:
+    """Whether the ray from x to a cylinder's inner side, met at cosine `cos`, crosses the cylinder before."""
+    axis, radius = _vec(row, 3), safe_sqrt(dot(_vec(row, 6), _vec(row, 6)))
+    l2 = dot(axis, axis)
+    slope = dot(w, axis)
+    t = distance - 2.0 * radius * cos / jnp.maximum(1.0 - slope * slope / l2, 1e-12)
+    height = (dot(x - _vec(row, 0), axis) + t * slope) / l2
+    return (t > 8.0 * epsilon) & (height >= 0) & (height <= 1)
+
+
 FLAT_WARPS = {"triangle": warp.uniform_triangle, "parallelogram": lambda u: u, "disk": warp.uniform_disk}
 
 
@@ -102,7 +113,7 @@ def sample(world: World, x: Vec3, s: Stream | Drawn, pair: int) -> LightSample:
             radius = safe_sqrt(dot(_vec(attached, 3), _vec(attached, 3)))
             one = (_vec(attached, 0) + n * radius, n * _row(world.faces, face)[FACE["side"]], n * radius * radius, cone)
         elif kind == "cylinder":
-            n = _cylinder_normal(fixed, u)
+            n = _cylinder_normal(attached, u)
             axis, radius = _vec(attached, 3), safe_sqrt(dot(_vec(attached, 6), _vec(attached, 6)))
             y, area = _vec(attached, 0) + axis * u[0] + n * radius, n * (radius * safe_sqrt(dot(axis, axis)))
             one = (y, n * _row(world.faces, face)[FACE["side"]], area, 0.0 * u[0])
@@ -126,7 +137,11 @@ def sample(world: World, x: Vec3, s: Stream | Drawn, pair: int) -> LightSample:
     pdf = jnp.where(cone > 0, chance * cone, pdf)
     lit = (cos > 0) & (d2 > 0)
     radiance = Spectrum(tuple(jnp.where(lit, row[14 + c], 0.0) for c in range(plan.channels)))
-    return LightSample(w, safe_sqrt(d2), radiance, jnp.where(lit, pdf, 0.0), face, jacobian)
+    distance, hidden = safe_sqrt(d2), jnp.zeros_like(lit)
+    if "cylinder" in plan.light_kinds:
+        inwards = (face >= world.first("cylinder")) & (_row(world.faces, face)[FACE["side"]] < 0)
+        hidden = inwards & _behind_own_side(x, fixed_w, distance, cos, fixed, world.epsilon)
+    return LightSample(w, distance, radiance, jnp.where(lit, pdf, 0.0), face, jacobian, hidden)
 
 
 def density(world: World, x: Vec3, y: SurfacePoint, w: Vec3) -> Any:

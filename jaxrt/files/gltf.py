@@ -22,6 +22,7 @@ import numpy as np
 
 from ..parts import Bsdf, Conductor, Description, Diffuse, Film, Mesh, SceneError, Sensor, TwoSided, matrix
 from .mesh import fail, listed, read_bytes
+from .textures import mean_colour
 
 _KNOWN = {"KHR_materials_emissive_strength", "KHR_mesh_quantization"}
 _NOTED = {"KHR_lights_punctual", "KHR_texture_transform", "KHR_texture_basisu", "EXT_texture_webp", "KHR_xmp_json_ld"}
@@ -353,6 +354,8 @@ class _Materials:
         colour = file.numbers(pbr, "baseColorFactor", [1.0, 1.0, 1.0, 1.0], where)[:3]
         metallic = float(file.numbers(pbr, "metallicFactor", 1.0, where))
         rough = float(file.numbers(pbr, "roughnessFactor", 1.0, where))
+        painted = self._mean(pbr.get("baseColorTexture"))
+        colour = colour if painted is None else colour * painted
         bsdf: Bsdf = Diffuse(colour, id=name)
         if metallic >= 0.5:
             bsdf = Conductor(alpha=rough * rough, eta=0.0, k=1.0, specular_reflectance=colour, id=name)  # B.3.2: α
@@ -369,8 +372,24 @@ class _Materials:
         textures = [f"{k} {self._image(v)}" for k, v in [*pbr.items(), *entry.items()] if k.endswith("Texture")]
         if textures:
             textures = ", ".join(textures)
-            file.notes.append(f"{file.path}: {where}: textures are not read, the factors alone are used ({textures})")
+            how = "the factors alone are used" if painted is None else "the mean of the base colour is used"
+            file.notes.append(f"{file.path}: {where}: textures are not mapped, {how} ({textures})")
         return TwoSided(bsdf) if entry.get("doubleSided") is True else bsdf, look
+
+    def _mean(self, info: Any) -> np.ndarray | None:
+        """Mean colour of a texture, None if there is none that can be read."""
+        try:
+            image = self.file.item("images", self.file.item("textures", info["index"])["source"])
+            if "bufferView" in image:
+                view = self.file.item("bufferViews", image["bufferView"])
+                start = view.get("byteOffset", 0)
+                return mean_colour(self.file.buffer(view["buffer"])[start : start + view["byteLength"]])
+            uri = image["uri"]
+            if uri.startswith("data:"):
+                return mean_colour(base64.b64decode(uri.partition(",")[2]))
+            return mean_colour((Path(self.file.path).parent / unquote(uri)).read_bytes())
+        except (KeyError, TypeError, ValueError, OSError, AttributeError):
+            return None
 
     def _image(self, info: Any) -> str:
         """A name for a texture; whatever is wrong with it does not matter yet."""

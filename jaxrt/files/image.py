@@ -13,6 +13,9 @@ import numpy as np
 
 from ..parts import SceneError
 
+unfinished: set[str] = set()
+"""Files that are being written, by their temporary names."""
+
 _LARGEST = 1 << 15  # pixels to a side, as `Film` has it; a damaged header may claim anything
 
 
@@ -29,6 +32,7 @@ def _replacing(path: str | Path) -> Iterator[str]:
             raise SceneError(f"{path}: is not a file; give the name of one")
         if not target.parent.is_dir():
             raise SceneError(f"{path}: the folder {target.parent} does not exist; make it or give another path")
+        unfinished.add(str(temporary))
         temporary.touch()  # says what the user cannot do more clearly than OpenEXR does
         yield str(temporary)
         os.replace(temporary, target)
@@ -42,6 +46,7 @@ def _replacing(path: str | Path) -> Iterator[str]:
     finally:
         with contextlib.suppress(OSError, ValueError):
             temporary.unlink()
+        unfinished.discard(str(temporary))
 
 
 def _rgb(a: np.ndarray, name: str) -> np.ndarray:
@@ -50,7 +55,7 @@ def _rgb(a: np.ndarray, name: str) -> np.ndarray:
     if a.ndim != 3 or a.shape[2] not in (1, 3) or 0 in a.shape or max(a.shape) > _LARGEST:
         raise SceneError(f"{name} has shape {a.shape}; give (H, W, 1) or (H, W, 3), with sides up to {_LARGEST}")
     with np.errstate(over="ignore"):
-        return np.broadcast_to(a, (*a.shape[:2], 3)).astype(np.float32)
+        return np.broadcast_to(a, (*a.shape[:2], 3)).astype(np.float32, copy=False)
 
 
 def write_exr(
@@ -67,13 +72,12 @@ def write_exr(
     """
     import OpenEXR
 
-    layers = {"": _rgb(image, "image")}
+    # R, G, B and stderr.R, ... interleaved. OpenEXR writes an array that is not contiguous scrambled, without a word
+    channels = {"RGB": np.ascontiguousarray(_rgb(image, "image"))}
     if stderr is not None:
-        layers["stderr."] = _rgb(stderr, "stderr")
-        if layers["stderr."].shape != layers[""].shape:
+        channels["stderr"] = np.ascontiguousarray(_rgb(stderr, "stderr"))
+        if channels["stderr"].shape != channels["RGB"].shape:
             raise SceneError(f"stderr has shape {np.shape(stderr)}, image {np.shape(image)}; give the same")
-    # OpenEXR writes an array that is not contiguous scrambled, without a word
-    channels = {f"{k}{c}": np.ascontiguousarray(a[..., j]) for k, a in layers.items() for j, c in enumerate("RGB")}
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
     own = {*header, "channels", "dataWindow", "displayWindow", "lineOrder", "pixelAspectRatio", "version"}
     for key, value in (attributes or {}).items():
@@ -145,13 +149,15 @@ def to_srgb(image: np.ndarray, exposure: float = 0.0) -> np.ndarray:
     """
     if not np.isfinite(exposure):
         raise SceneError(f"exposure is {exposure}; give a finite number of stops")
-    rgb = _rgb(image, "image").astype(np.float64)
-    bad = np.isnan(rgb).any(-1)
-    with np.errstate(over="ignore", invalid="ignore"):  # 0 · inf at an absurd exposure
-        x = np.clip(np.nan_to_num(rgb * np.exp2(np.float64(exposure)), nan=0.0), 0.0, 1.0)
-    x = np.where(x <= 0.0031308, 12.92 * x, 1.055 * x ** (1 / 2.4) - 0.055)
-    out = np.floor(255 * x + 0.5).astype(np.uint8)
-    out[bad] = (255, 0, 255)
+    rgb = _rgb(image, "image")
+    out = np.empty(rgb.shape, np.uint8)
+    for start in range(0, len(rgb), 256):  # in bands: float64 takes eight times the room
+        band = rgb[start : start + 256].astype(np.float64)
+        with np.errstate(over="ignore", invalid="ignore"):  # 0 · inf at an absurd exposure
+            x = np.clip(np.nan_to_num(band * np.exp2(np.float64(exposure)), nan=0.0), 0.0, 1.0)
+        x = np.where(x <= 0.0031308, 12.92 * x, 1.055 * x ** (1 / 2.4) - 0.055)
+        out[start : start + 256] = np.floor(255 * x + 0.5)
+        out[start : start + 256][np.isnan(band).any(-1)] = (255, 0, 255)
     return out
 
 

@@ -56,7 +56,14 @@ def emitter_point(world: World, x: SurfacePoint) -> tuple[Vec3, Vec3]:
             here = x.face >= world.first(kind)
             radius2 = dot(a, a) if kind == "sphere" else dot(b, b)
             radius = jnp.sqrt(jnp.where(here, radius2, 1.0))
-            out = n * jnp.where(dot(n, sg(x.position - o)) < 0, -1.0, 1.0)
+            if kind == "cylinder":  # the normal turns with the axis
+                axis = normalise(where(here, a, Vec3(0.0, 0.0, 1.0)))
+                across = normalise(where(here, b, Vec3(1.0, 0.0, 0.0)))
+                beside = cross(axis, across)
+                out = across * sg(dot(n, across)) + beside * sg(dot(n, beside))
+            else:
+                out = n
+            out = out * jnp.where(dot(n, sg(x.position - o)) < 0, -1.0, 1.0)
             if kind == "sphere":
                 there, patch = o + out * radius, out * (radius * radius)
             else:

@@ -9,8 +9,14 @@ from __future__ import annotations
 
 from typing import Any, Protocol
 
+import jax
+
 from ..vector import Vec3
+from . import embree
 from .dense import Dense, affine
+
+FEW = 128
+"""Triangles and parallelograms up to which the dense backend is the fastest there is."""
 
 
 class Search(Protocol):
@@ -21,7 +27,26 @@ class Search(Protocol):
     def occluded(self, o: Vec3, d: Vec3, distance: Any, exclude: Any = None) -> Any: ...
 
 
-BACKENDS = {"dense": Dense}
+BACKENDS = {"dense": Dense, "embree": embree.Embree}
+
+
+def refusal(backend: str) -> str | None:
+    """Why a backend cannot run here, or None."""
+    if backend != "embree":
+        return None
+    if jax.default_backend() != "cpu":
+        return "it runs on CPUs"
+    if jax.config.jax_enable_x64:  # pyright: ignore[reportAttributeAccessIssue]
+        return "it computes in float32"
+    return embree.refusal()
+
+
+def choose(faces: int) -> tuple[str, str]:
+    """The backend for so many triangles and parallelograms, and why."""
+    if faces <= FEW:
+        return "dense", f"{faces} faces"
+    why = refusal("embree")
+    return ("embree", f"{faces} faces") if why is None else ("dense", f"{faces} faces, and not embree: {why}")
 
 
 def build_search(
@@ -34,4 +59,4 @@ def build_search(
     return BACKENDS[plan.backend].build(geometry, maps, counts, blocks, center, epsilon)
 
 
-__all__ = ["BACKENDS", "Search", "affine", "build_search"]
+__all__ = ["BACKENDS", "Search", "affine", "build_search", "choose", "refusal"]

@@ -29,16 +29,26 @@ class Dense(eqx.Module):
     center: Float[Array, " 3"]
     least: Float[Array, ""]
     blocks: tuple[int, ...] = eqx.field(static=True)
+    first_kind: int = eqx.field(static=True)  # kinds before it are searched elsewhere
 
     @classmethod
-    def build(cls, geometry: Any, maps: Any, counts: Any, blocks: tuple[int, ...], center: Any, epsilon: Any) -> Dense:
+    def build(
+        cls,
+        geometry: Any,
+        maps: Any,
+        counts: Any,
+        blocks: tuple[int, ...],
+        center: Any,
+        epsilon: Any,
+        first_kind: int = 0,
+    ) -> Dense:
         """Tables from faces (origin, e₁, e₂), shape (P, 9), by kind in `blocks`, and their `affine` maps."""
         slack = 0.5 * epsilon
         u, v = maps[:, 4:7], maps[:, 8:11]
         steep = jnp.sqrt(jnp.maximum(jnp.sum(u * u, -1), jnp.sum(v * v, -1)))
         table = jnp.concatenate([maps, (slack * steep)[:, None]], -1)
         starts = [sum(blocks[:k]) for k in range(6)]
-        flat = [table[starts[k] : starts[k + 1]] for k in range(3)]
+        flat = [table[starts[k] : starts[k + 1] if k >= first_kind else starts[k]] for k in range(3)]
         o, a, b = geometry[:, :3] - center[None], geometry[:, 3:6], geometry[:, 6:9]
         ball, tube = slice(starts[3], starts[4]), slice(starts[4], starts[5])
         l2 = jnp.sum(a[tube] ** 2, -1, keepdims=True)
@@ -53,10 +63,14 @@ class Dense(eqx.Module):
             center=center,
             least=-0.5 * epsilon,
             blocks=blocks,
+            first_kind=first_kind,
         )
 
-    def closest(self, o: Vec3, d: Vec3, exclude: Any = None) -> Any:
-        """Number of the first face along the ray, −1 if none. `exclude`: faces to skip, one or several numbers."""
+    def closest(self, o: Vec3, d: Vec3, exclude: Any = None, best: tuple[Any, Any] | None = None) -> Any:
+        """Number of the first face along the ray, −1 if none. `exclude`: faces to skip, one or several numbers.
+
+        `best`: distance and face that another search has found already.
+        """
         o, d = self._ray(o, d)
 
         # Distance and face travel as one complex number: XLA writes one kernel an output, and two
@@ -67,8 +81,9 @@ class Dense(eqx.Module):
             ok = ok & (t < jnp.real(best)) & _allowed(face, exclude)
             return jnp.where(ok, jax.lax.complex(t, jnp.full_like(t, face.astype(real))), best)
 
-        none = jax.lax.complex(jnp.full_like(d.x, jnp.inf), jnp.full_like(d.x, -1.0))
-        return jnp.imag(self._each(o, d, none, nearer)).astype(jnp.int32)
+        t, face = best or (jnp.full_like(d.x, jnp.inf), jnp.full_like(d.x, -1.0))
+        found = jax.lax.complex(t, jnp.asarray(face, real))
+        return jnp.imag(self._each(o, d, found, nearer)).astype(jnp.int32)
 
     def occluded(self, o: Vec3, d: Vec3, distance: Any, exclude: Any = None) -> Any:
         """Whether any face but the excluded ones lies before `distance` (m)."""
@@ -88,7 +103,7 @@ class Dense(eqx.Module):
         tests = [*(_flat_test(kind, table) for kind, table in zip(FLAT, self.flat, strict=True))]
         tests += [_sphere_test(self.spheres), _cylinder_test(self.cylinders)]
         for k, (test, size) in enumerate(zip(tests, self.blocks, strict=True)):
-            if size == 0:
+            if size == 0 or k < self.first_kind:
                 continue
             first, unroll = sum(self.blocks[:k]), min(UNROLL, size)
 
@@ -107,9 +122,18 @@ def _allowed(face: Any, exclude: Any) -> Any:
     if exclude is None:
         return True
     ok = True
-    for other in exclude if isinstance(exclude, (tuple, list)) else (exclude,):
+    for other in several(exclude):
         ok = ok & (face != other)
     return ok
+
+
+def several(exclude: Any) -> tuple[Any, ...]:
+    """Faces to skip, given as nothing, a number, numbers or an array of them."""
+    if exclude is None:
+        return ()
+    if isinstance(exclude, (tuple, list)):
+        return tuple(exclude)
+    return tuple(exclude) if jnp.ndim(exclude) else (exclude,)
 
 
 def affine(o: Any, a: Any, b: Any) -> Any:

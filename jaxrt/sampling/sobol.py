@@ -105,13 +105,19 @@ class Drawn(eqx.Module):
 
 
 def seed_of(key: PRNGKeyArray | Array | int) -> UInt32[Array, ""]:
-    """32 bits from a JAX key (new or old style) or an integer: a key only seeds the hash."""
-    if isinstance(key, int):
-        return hash_u32(_U(key & 0xFFFFFFFF) ^ hash_u32(_U((key >> 32) & 0xFFFFFFFF)))
-    if jnp.issubdtype(key.dtype, jax.dtypes.prng_key):
+    """32 bits from a JAX key (new or old style) or a whole number, traced or not: a key only seeds the hash."""
+    if isinstance(key, int):  # of any size
+        return combine(hash_u32(_U(key & 0xFFFFFFFF)), _U((key >> 32) & 0xFFFFFFFF))
+    if jnp.issubdtype(jnp.asarray(key).dtype, jax.dtypes.prng_key):
         key = jax.random.key_data(key)
-    words = jnp.ravel(key).astype(_U)
+    key = jnp.asarray(key)
+    if jnp.issubdtype(key.dtype, jnp.integer) and key.shape == ():
+        wide = key.dtype.itemsize > 4
+        high = (key >> 32) if wide else jnp.where(key < 0, -1, 0) if key.dtype == jnp.int32 else jnp.zeros_like(key)
+        return combine(hash_u32(key.astype(_U)), high.astype(_U))
+    if key.dtype != jnp.uint32 or key.ndim != 1:
+        raise ValueError(f"key: has shape {key.shape} and type {key.dtype}; give one JAX key or a whole number")
     seed = _U(0)
-    for k in range(words.shape[0]):
-        seed = combine(seed, words[k])
+    for k in range(key.shape[0]):
+        seed = combine(seed, key[k])
     return seed

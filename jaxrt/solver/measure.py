@@ -15,10 +15,8 @@ from jaxtyping import Array, Float
 from ..effects import Plan
 from ..effects import plan as make_plan
 from ..parts import SceneError
-from ..sampling.sobol import Stream, seed_of
-from ..sampling.warp import cosine_hemisphere
-from ..scene import Scene
-from ..vector import Frame, Vec3, normalise
+from ..sampling.sobol import seed_of
+from ..scene import Scene, in_working_precision
 from ..world import World, prepare
 from . import path
 
@@ -26,7 +24,7 @@ LANES = 512
 """Rays in flight in one program: all that a bounce touches fits a core's cache (256 to 1024 measured alike)."""
 
 WIDE = 8192
-"""Rays in flight under differentiation, where a program still pays for starting each kernel."""
+"""Rays in flight where a program pays for starting each kernel: under differentiation, and with foreign calls."""
 
 PASS = 256
 """Samples a pixel that are summed plainly; sums of passes are compensated."""
@@ -46,9 +44,12 @@ def view_of(scene: Scene, sensor: int) -> path.View:
 def depths_of(scene: Scene, max_depth: int | None, rr_depth: int | None = None) -> path.Depths:
     asked = scene.structure.asked()
     depth = asked.max_depth if max_depth is None else max_depth
-    if depth < -1:
-        raise SceneError(f"max_depth: is {depth}; give -1 for no end, or 0 or more")
-    return path.Depths(depth, asked.rr_depth if rr_depth is None else rr_depth, asked.hide_emitters)
+    rr_depth = asked.rr_depth if rr_depth is None else rr_depth
+    if not isinstance(depth, (int, np.integer)) or depth < -1:
+        raise SceneError(f"max_depth: is {depth}; give -1 for no end, or a whole number from 0")
+    if not isinstance(rr_depth, (int, np.integer)) or rr_depth < 1:
+        raise SceneError(f"rr_depth: is {rr_depth}; give a whole number of at least 1")
+    return path.Depths(int(depth), int(rr_depth), asked.hide_emitters)
 
 
 def _chunks(numbers: Any, lanes: int) -> Any:
@@ -83,38 +84,55 @@ def _compensated(step: Any, start: Any, count: int) -> Any:
 
 
 @eqx.filter_custom_jvp
-def _picture(world: World, view: path.View, depths: path.Depths, seed: Any, pixels: Any, spp: int, depth: int) -> Any:
-    """Means of pixels (chunks, lanes) -> (chunks, lanes, C), by the loop without reverse mode."""
+def _means(world: World, begin: Any, depths: path.Depths, seed: Any, numbers: Any, spp: int, steps: int) -> Any:
+    """Means of lanes (chunks, lanes) -> (chunks, lanes, C), by the loop without reverse mode."""
 
-    def chunk(world: World, view: path.View, depths: path.Depths, seed: Any, px: Any) -> Any:
+    def chunk(world: World, begin: Any, depths: path.Depths, seed: Any, row: Any) -> Any:
         def one(k: Any) -> Any:
-            return path.trace(world, view, depths, seed, px, k * PASS, jnp.minimum((k + 1) * PASS, spp))[0].sum(1)
+            return path.trace(world, begin, depths, seed, row, k * PASS, jnp.minimum((k + 1) * PASS, spp))[0].sum(1)
 
-        start = jnp.zeros((px.shape[0], world.plan.channels), world.faces.dtype)
+        start = jnp.zeros((row.shape[0], world.plan.channels), world.faces.dtype)
         return _compensated(one, start, -(-spp // PASS)) / spp
 
-    return _over_devices(chunk, pixels, world, view, depths, seed)
+    return _over_devices(chunk, numbers, world, begin, depths, seed)
 
 
-@_picture.def_jvp
-def _picture_jvp(primals: Any, tangents: Any) -> Any:
-    world, view, depths, seed, pixels, spp, depth = primals
-    if depth < 0:
-        raise ValueError(
-            "measure: derivatives need a finite number of bounces; give max_depth= (1 is emission only)"
-        )
+@_means.def_jvp
+def _means_jvp(primals: Any, tangents: Any) -> Any:
+    world, begin, depths, seed, numbers, spp, steps = primals
+    if steps < 0:
+        raise ValueError("measure: derivatives need a finite number of bounces; give max_depth= (1 is emission only)")
 
-    lanes = max(1, WIDE // pixels.shape[1]) * pixels.shape[1]
-    wide = _chunks(pixels.reshape(-1), lanes)
+    lanes = max(1, WIDE // numbers.shape[1]) * numbers.shape[1]
+    wide = _chunks(numbers.reshape(-1), lanes)
 
-    def chunk(world: World, view: path.View, depths: path.Depths, seed: Any, px: Any) -> Any:
-        return path.trace_fixed(world, view, depth, depths, seed, px, spp)
+    def chunk(world: World, begin: Any, depths: path.Depths, seed: Any, row: Any) -> Any:
+        return path.trace_fixed(world, begin, steps, depths, seed, row, spp)
 
-    def fixed(world: World, view: path.View) -> Any:
-        values = _over_devices(chunk, wide, world, view, depths, seed)
-        return values.reshape(-1, values.shape[-1])[: pixels.size].reshape(*pixels.shape, -1)
+    def fixed(world: World, begin: Any) -> Any:
+        values = _over_devices(chunk, wide, world, begin, depths, seed)
+        return values.reshape(-1, values.shape[-1])[: numbers.size].reshape(*numbers.shape, -1)
 
-    return eqx.filter_jvp(fixed, (world, view), (tangents[0], tangents[1]))
+    return eqx.filter_jvp(fixed, (world, begin), (tangents[0], tangents[1]))
+
+
+@functools.partial(jax.jit, static_argnames=("n", "spp", "max_depth"))
+def _pixels(
+    scene: Scene, plan: Plan, begin: Any, key: Any, depths: path.Depths, *, n: int, spp: int, max_depth: int
+) -> Any:
+    """Means of lanes 0..n−1, (n, C); compiled once for scenes and beginnings of one structure."""
+    scene, begin = in_working_precision((scene, begin))
+    world = prepare(scene, plan)
+    numbers = _chunks(jnp.arange(n, dtype=jnp.int32), LANES if plan.backend == "dense" else WIDE)
+    steps = max_depth + 2 * plan.hide_emitters if max_depth > 0 else max_depth  # to pass both sides of a lamp
+    values = _means(world, begin, depths, seed_of(key), numbers, spp, steps)
+    return jnp.broadcast_to(values.reshape(-1, plan.channels)[:n], (n, plan.out_channels))
+
+
+def _plan_of(scene: Scene, plan: Plan | None, spp: int) -> Plan:
+    if not isinstance(spp, (int, np.integer)) or spp < 1:
+        raise SceneError(f"spp: is {spp}; give a whole number of at least 1")
+    return plan or scene.plan or make_plan(scene)
 
 
 def measure(
@@ -127,49 +145,26 @@ def measure(
     rr_depth: int | None = None,
     sensor: int = 0,
 ) -> Float[Array, "height width channels"]:
-    """A picture, as a pure function of scene and key: jit, grad, jvp, vmap and second derivatives apply.
+    """A picture, as a pure function of scene and key: jit, grad, jvp and vmap apply.
 
     `key`: a JAX key or an integer. `plan`: `jaxrt.plan(scene)`, made before tracing; the scene's own by
     default. `spp`: samples a pixel. `max_depth`: as Mitsuba counts it (1: emission only, −1: no end, which
     derivatives refuse); the scene's own by default. Radiance in W·m⁻²·sr⁻¹, averaged over each pixel's filter.
 
-    Derivatives hold samples fixed (design: interior terms). They are right where no visibility edge moves.
+    Derivatives hold samples fixed (design: interior terms). They are right where no visibility edge moves;
+    second derivatives where no geometry moves at all.
     """
-    plan = plan or scene.plan or make_plan(scene)
-    if spp < 1:
-        raise SceneError(f"spp: is {spp}; give at least 1")
+    plan = _plan_of(scene, plan, spp)
     view, depths = view_of(scene, sensor), depths_of(scene, max_depth, rr_depth)
-    world = prepare(scene, plan)
-    width, height = scene.structure.sensors[sensor].film[:2]
-    pixels = _chunks(jnp.arange(width * height, dtype=jnp.int32), LANES)
-    values = _picture(world, view, depths, seed_of(key), pixels, spp, depths.max_depth)
-    image = values.reshape(-1, plan.channels)[: width * height].reshape(height, width, plan.channels)
-    return jnp.broadcast_to(image, (height, width, plan.out_channels))
-
-
-@functools.partial(jax.jit, static_argnames=("spp", "plan", "kind"))
-def _along(
-    scene: Scene, points: Any, directions: Any, seed: Any, depths: path.Depths, plan: Plan, spp: int, kind: str
-) -> Any:
-    world = prepare(scene, plan)
-    numbers = jnp.arange(points.shape[0], dtype=jnp.int32)
-
-    def radiance_start(number: Any, s: Stream) -> path.PathState:
-        return path.start(world, Vec3.of(points[number]), normalise(Vec3.of(directions[number])))
-
-    def irradiance_start(number: Any, s: Stream) -> path.PathState:
-        frame = Frame.around(normalise(Vec3.of(directions[number])))
-        local = cosine_hemisphere(s.pair_at(0))
-        at = Vec3.of(points[number]) + frame.n * world.epsilon
-        return path.receive(world, at, frame, local, s)
-
-    begin = radiance_start if kind == "radiance" else irradiance_start
-    sums, _ = path.run(world, depths, seed, numbers, begin, 0, spp)
-    return jnp.broadcast_to(sums.sum(1) / spp, (points.shape[0], plan.out_channels))
+    width, height = view.width, view.height
+    n = width * height
+    image = _pixels(scene, plan, view, key, depths, n=n, spp=spp, max_depth=depths.max_depth)
+    return image.reshape(height, width, -1)
 
 
 def _rays(points: Any, directions: Any) -> tuple[Any, Any, Any]:
     points, directions = jnp.asarray(points), jnp.asarray(directions)
+    points, directions = (a if jnp.issubdtype(a.dtype, jnp.floating) else a.astype(float) for a in (points, directions))
     if points.shape[-1:] != (3,) or directions.shape[-1:] != (3,):
         raise ValueError(f"points and directions have shape (..., 3), not {points.shape} and {directions.shape}")
     points, directions = jnp.broadcast_arrays(points, directions)
@@ -186,10 +181,12 @@ def radiance(
     spp: int = 64,
     max_depth: int | None = None,
 ) -> Float[Array, "*batch channels"]:
-    """Radiance that arrives at points (m) along rays: L(ψ(o, ω), −ω), W·m⁻²·sr⁻¹. Directions are normalised."""
+    """Radiance that arrives at points (m) along rays: L(ψ(o, ω), −ω), W·m⁻²·sr⁻¹. Directions are normalised.
+
+    Pure like `measure`, and differentiable as it is, in points and directions too.
+    """
     o, d, batch = _rays(points, directions)
-    plan = plan or scene.plan or make_plan(scene)
-    return _along(scene, o, d, seed_of(key), depths_of(scene, max_depth), plan, spp, "radiance").reshape(*batch, -1)
+    return _along(scene, path.Rays(o, d), key, plan, spp, max_depth).reshape(*batch, -1)
 
 
 def irradiance(
@@ -202,11 +199,21 @@ def irradiance(
     spp: int = 64,
     max_depth: int | None = None,
 ) -> Float[Array, "*batch channels"]:
-    """Irradiance E = ∫ L_i dμ (W·m⁻²) at points (m) on the side of `normals`, by light and cosine sampling."""
+    """Irradiance E = ∫ L_i dμ (W·m⁻²) at points (m) on the side of `normals`, by light and cosine sampling.
+
+    Pure like `measure`, and differentiable as it is, in points and normals too.
+    """
     o, n, batch = _rays(points, normals)
-    plan = plan or scene.plan or make_plan(scene)
+    return _along(scene, path.Meters(o, n), key, plan, spp, max_depth).reshape(*batch, -1)
+
+
+def _along(scene: Scene, begin: Any, key: Any, plan: Plan | None, spp: int, max_depth: int | None) -> Any:
+    plan = _plan_of(scene, plan, spp)
     depths = dataclasses.replace(depths_of(scene, max_depth), hide_emitters=False)  # a meter sees all light
-    return _along(scene, o, n, seed_of(key), depths, plan, spp, "irradiance").reshape(*batch, -1)
+    n = begin.points.shape[0]
+    if n == 0:
+        return jnp.zeros((0, plan.out_channels), scene.vertices.dtype)
+    return _pixels(scene, plan, begin, key, depths, n=n, spp=spp, max_depth=depths.max_depth)
 
 
 __all__ = ["LANES", "PASS", "depths_of", "irradiance", "measure", "radiance", "view_of"]

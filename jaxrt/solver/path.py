@@ -22,10 +22,11 @@ from ..compiler import one_function
 from ..gradient import material
 from ..rules import balance, light_node, reflected, reflection_density, reflection_node
 from ..sampling.sobol import Drawn, Stream, combine
+from ..sampling.warp import cosine_hemisphere
 from ..scene import SensorStructure
 from ..sensor import camera, film
-from ..surface import leave, radiance_of, shading_at
-from ..vector import Frame, Spectrum, Vec3, dot, where
+from ..surface import SurfacePoint, leave, radiance_of, shading_at
+from ..vector import Frame, Spectrum, Vec3, dot, normalise, where
 from ..world import World
 
 SETS = 4
@@ -74,9 +75,8 @@ def start(world: World, o: Vec3, d: Vec3) -> PathState:
 
 
 def hidden(world: World, o: Vec3, light: emitter.LightSample) -> Any:
-    """Whether something lies between o and a light sample. Its own face does not count, but a tube hides its inside."""
-    own = jnp.where(light.face >= world.first("cylinder"), -2, light.face) if world.blocks[4] else light.face
-    return world.search.occluded(o, light.w, light.distance * (1.0 - 1e-5), own)
+    """Whether something lies between o and a light sample. The search leaves out the light's own face."""
+    return light.hidden | world.search.occluded(o, light.w, light.distance * (1.0 - 1e-5), light.face)
 
 
 def bounce(world: World, depths: Depths, state: PathState, s: Stream) -> PathState:
@@ -92,15 +92,19 @@ def bounce(world: World, depths: Depths, state: PathState, s: Stream) -> PathSta
     share = 1.0
     if plan.lights:
         share = sg(jnp.where(state.delta, 1.0, balance(state.pdf, emitter.density(world, state.o, x, state.d))))
-    seen = state.alive & ~((state.depth == 0) & depths.hide_emitters) & (depths.max_depth != 0)
+    passed = jnp.zeros_like(state.alive)
+    if plan.hide_emitters:
+        emits = (x.light_density > 0) | (x.face < 0)
+        passed = state.alive & (state.depth == 0) & depths.hide_emitters & emits
+    seen = state.alive & ~passed & (depths.max_depth != 0)
     met = state.beta * radiance_of(world, x, wo) * share
     if state.before is not None and state.slopes is not None and plan.lights:
         met = met * material.met(world, state.before, x, state.slopes, seen & ~state.delta & (x.light_density > 0))
     radiance = state.radiance + met.map(lambda c: jnp.where(seen, c, 0.0))
     depth = state.depth + 1
-    alive = state.alive & (x.face >= 0) & ((depth < depths.max_depth) | (depths.max_depth < 0))
+    alive = state.alive & ~passed & (x.face >= 0) & ((depth < depths.max_depth) | (depths.max_depth < 0))
     if not plan.bounces:
-        return replace(state, radiance=radiance, depth=depth, alive=alive & False)
+        return _through(world, state, x, passed, replace(state, radiance=radiance, depth=depth, alive=alive & False))
     at = shading_at(world, x, wo)
     # Direct light by a light sample, weighted against reflection.
     if plan.lights:
@@ -114,29 +118,24 @@ def bounce(world: World, depths: Depths, state: PathState, s: Stream) -> PathSta
     beta = state.beta * node.weight
     # Russian roulette from rr_depth on.
     most = sg(beta.max())
+    if state.before is not None:  # black surfaces reflect nothing, but their derivative does
+        most = jnp.where((most > 0) | ~(node.pdf > 0), most, 0.05)
     survive = jnp.where(depth >= depths.rr_depth, jnp.clip(most, 0.0, 0.95), 1.0)
     alive = alive & (most > 0) & (s.pair_at(2)[1] < survive)
     beta = beta * (1.0 / jnp.where(survive > 0, survive, 1.0))
     follow = PathState(leave(world, x, node.w), node.w, beta, radiance, node.pdf, node.delta, depth, alive)
-    if state.before is None:
+    if state.before is not None:
+        slopes = material.slope(functools.partial(reflected, world), at, node.w)
+        follow = replace(follow, before=x.position, slopes=slopes)
+    return _through(world, state, x, passed, follow)
+
+
+def _through(world: World, state: PathState, x: SurfacePoint, passed: Any, follow: PathState) -> PathState:
+    """`follow`, but the camera's ray goes on where it met a hidden emitter."""
+    if not world.plan.hide_emitters:
         return follow
-    return replace(follow, before=x.position, slopes=material.slope(functools.partial(reflected, world), at, node.w))
-
-
-class View(eqx.Module):
-    """A sensor as the loop sees it: its pose, lens and picture size; what is compiled is static."""
-
-    to_world: Any
-    lens: Any
-    width: Any
-    height: Any
-    sensor: SensorStructure = eqx.field(static=True)
-
-
-def camera_ray(world: World, view: View, p: film.Pixel, s: Stream) -> tuple[Vec3, Vec3]:
-    at = world.settle(film.sample(view.sensor.film, p, s.pair_at(0)))
-    u = s.pair_at(1) if camera.uses_lens(view.sensor) else None
-    return camera.ray(view.sensor, view.to_world, view.lens, (view.width, view.height), at, u)
+    through = passed & (x.face >= 0)
+    return where(through, replace(state, o=leave(world, x, state.d), alive=through), follow)
 
 
 def sample_stream(seed: Any, pixel: Any, i: Any) -> Stream:
@@ -149,29 +148,69 @@ def bounce_stream(s: Stream, depth: Any) -> Stream:
     return Stream(s.index, s.seed, (CAMERA_PAIRS + BOUNCE_PAIRS * depth).astype(jnp.uint32))
 
 
-def camera_start(world: World, view: View) -> Any:
-    """How a pixel (row · width + column) begins a path: a function (number, stream) -> PathState."""
+class View(eqx.Module):
+    """Paths of a sensor's pixels (row · width + column). What is compiled of it is static."""
 
-    def begin(number: Any, s: Stream) -> PathState:
-        column, row = (k.astype(view.lens.dtype) for k in (number % view.width, number // view.width))
-        place = film.pixel(view.sensor.film, column, row, view.width, view.height)
-        return start(world, *camera_ray(world, view, place, s))
+    to_world: Any
+    lens: Any
+    width: Any
+    height: Any
+    sensor: SensorStructure = eqx.field(static=True)
 
-    return begin
+    def __call__(self, world: World, number: Any, s: Stream) -> PathState:
+        column, row = (k.astype(self.lens.dtype) for k in (number % self.width, number // self.width))
+        pixel = film.pixel(self.sensor.film, column, row, self.width, self.height)
+        at = world.settle(film.sample(self.sensor.film, pixel, s.pair_at(0)))
+        u = s.pair_at(1) if camera.uses_lens(self.sensor) else None
+        return start(world, *camera.ray(self.sensor, self.to_world, self.lens, (self.width, self.height), at, u))
 
 
-def receive(world: World, at: Vec3, frame: Frame, local: Vec3, s: Stream) -> PathState:
-    """A path that begins at an irradiance meter: β = π by cosine sampling, and a light sample already counted."""
-    begun = start(world, at, frame.to_world(local))
-    begun = replace(begun, beta=begun.beta * np.pi, pdf=local.z / np.pi, delta=begun.delta & False)
-    if not world.plan.lights:
-        return begun
-    light = emitter.sample(world, at, s.child(3), 1)
-    cos = dot(frame.n, light.w)
-    ok = (light.pdf > 0) & (cos > 0)
-    blocked = hidden(world, at, light)
-    scale = jnp.where(ok & ~blocked, cos / jnp.where(ok, light.pdf, 1.0), 0.0)
-    return replace(begun, radiance=light.radiance * (scale * balance(light.pdf, jnp.maximum(cos, 0.0) / np.pi)))
+class Rays(eqx.Module):
+    """Paths along given rays, (N, 3) each."""
+
+    points: Any
+    directions: Any
+
+    def __call__(self, world: World, number: Any, s: Stream) -> PathState:
+        return start(world, Vec3.of(self.points[number]), normalise(Vec3.of(self.directions[number])))
+
+
+class Meters(eqx.Module):
+    """Paths that end at irradiance meters: β = π by cosine sampling, and a light sample already counted."""
+
+    points: Any
+    normals: Any
+
+    def frame(self, world: World, number: Any) -> tuple[Vec3, Frame]:
+        frame = Frame.around(normalise(Vec3.of(self.normals[number])))
+        return Vec3.of(self.points[number]) + frame.n * world.epsilon, frame
+
+    def __call__(self, world: World, number: Any, s: Stream) -> PathState:
+        at, frame = self.frame(world, number)
+        local = cosine_hemisphere(s.pair_at(0))
+        w = sg(frame.to_world(local))
+        cos = dot(frame.n, w)
+        begun = start(world, at, w)
+        beta = begun.beta * (np.pi * cos / sg(cos))
+        begun = replace(begun, beta=beta, pdf=sg(cos) / np.pi, delta=begun.delta & False)
+        if not world.plan.lights:
+            return begun
+        light = emitter.sample(world, at, s.child(3), 1)
+        cos = dot(frame.n, light.w)
+        ok = (light.pdf > 0) & (cos > 0) & ~hidden(world, at, light)
+        share = sg(balance(light.pdf, jnp.maximum(cos, 0.0) / np.pi))
+        scale = jnp.where(ok, cos * light.jacobian * share / jnp.where(ok, light.pdf, 1.0), 0.0)
+        return replace(begun, radiance=light.radiance * scale)
+
+
+def _attached(world: World, begin: Any, number: Any, path: PathState) -> PathState:
+    """A path that knows the point that reflected last, as derivatives need it; a meter reflects like white paint."""
+    none = Vec3(*(0.0 * c for c in path.o))
+    before, slopes = none, (none,) * world.plan.channels
+    if isinstance(begin, Meters):
+        before, frame = begin.frame(world, number)
+        slopes = (sg(frame.n * (1.0 / dot(frame.n, path.d))),) * world.plan.channels
+    return replace(path, before=before, slopes=slopes)
 
 
 class Lane(eqx.Module):
@@ -183,12 +222,15 @@ class Lane(eqx.Module):
     rays: Any
 
 
-def run(world: World, depths: Depths, seed: Any, numbers: Any, begin: Any, first: Any, last: Any) -> tuple[Any, Any]:
-    """Sums of samples first..last−1 of each lane by set, (N, 4, C), and rays cast, (N,)."""
+def trace(world: World, begin: Any, depths: Depths, seed: Any, numbers: Any, first: Any, last: Any) -> tuple[Any, Any]:
+    """Sums of samples first..last−1 of each lane by set, (N, 4, C), and rays cast, (N,).
+
+    `begin`: how lane `number` begins a path, (world, number, stream) -> PathState.
+    """
     rays_a_bounce = 2 if world.plan.lights else 1
 
     def fresh(number: Any, sample: Any) -> PathState:
-        return begin(number, sample_stream(seed, number, sample))
+        return begin(world, number, sample_stream(seed, number, sample))
 
     def step(number: Any, lane: Lane) -> Lane:
         # A path that ended gives its radiance to its set, and the lane starts its next sample.
@@ -214,37 +256,31 @@ def run(world: World, depths: Depths, seed: Any, numbers: Any, begin: Any, first
         lanes = jax.lax.while_loop(lambda c: jnp.any(c.sample < last), lambda c: jax.vmap(step)(numbers, c), lanes)
         return jnp.stack([s.array() for s in lanes.sums], 1), lanes.rays
 
-    return (one_function(loop) if world.plan.bounces else loop)(lanes)
+    whole = world.plan.bounces and world.plan.backend != "embree"  # XLA takes no foreign calls into one function
+    return (one_function(loop) if whole else loop)(lanes)
 
 
-def trace(world: World, view: View, depths: Depths, seed: Any, pixels: Any, first: Any, last: Any) -> tuple[Any, Any]:
-    """`run` for pixels of a view."""
-    return run(world, depths, seed, pixels, camera_start(world, view), first, last)
-
-
-def trace_fixed(world: World, view: View, max_depth: int, depths: Depths, seed: Any, pixels: Any, spp: int) -> Any:
-    """Mean of samples 0..spp−1 of each pixel, (N, C): the reverse-mode driver, memory of one pass."""
+def trace_fixed(world: World, begin: Any, steps: int, depths: Depths, seed: Any, numbers: Any, spp: int) -> Any:
+    """Mean of samples 0..spp−1 of each lane, (N, C): the reverse-mode driver, memory of one pass."""
 
     @functools.partial(jax.checkpoint, prevent_cse=False)
-    def one_pass(world: World, view: View, numbers: Any, sample: Any) -> Any:
+    def one_pass(world: World, begin: Any, numbers: Any, sample: Any) -> Any:
         def one(number: Any) -> Any:
             s = sample_stream(seed, number, sample)
 
             def body(path: PathState, _: Any) -> tuple[PathState, None]:
                 return bounce(world, depths, path, bounce_stream(s, path.depth)), None
 
-            path = camera_start(world, view)(number, s)
-            none = Vec3(*(0.0 * c for c in path.o))
-            path = replace(path, before=none, slopes=(none,) * world.plan.channels)
-            return jax.lax.scan(body, path, None, length=max(max_depth, 1))[0].radiance.array()
+            path = _attached(world, begin, number, begin(world, number, s))
+            return jax.lax.scan(body, path, None, length=max(steps, 1))[0].radiance.array()
 
         return jax.vmap(one)(numbers)
 
     def add(carry: Any, sample: Any) -> tuple[Any, None]:
         total, lost = carry
-        value = one_pass(world, view, pixels, sample) - lost
+        value = one_pass(world, begin, numbers, sample) - lost
         new = total + value
         return (new, sg((new - total) - value)), None
 
-    zero = jnp.zeros((pixels.shape[0], world.plan.channels), world.faces.dtype)
+    zero = jnp.zeros((numbers.shape[0], world.plan.channels), world.faces.dtype)
     return jax.lax.scan(add, (zero, zero), jnp.arange(spp, dtype=jnp.int32))[0][0] / spp

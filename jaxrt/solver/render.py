@@ -8,7 +8,7 @@ import threading
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from typing import Literal
+from typing import Any, Literal
 
 import jax
 import numpy as np
@@ -19,11 +19,11 @@ from ..effects import Plan
 from ..effects import plan as make_plan
 from ..parts import SceneError
 from ..sampling.sobol import seed_of
-from ..scene import Scene, Structure
+from ..scene import Scene, Structure, in_working_precision
 from ..world import prepare
 from . import path
-from .measure import LANES, PASS, depths_of, view_of
-from .solution import Solution, predicted_error, standard_error
+from .measure import LANES, PASS, WIDE, depths_of, view_of
+from .solution import Solution, mean_and_variance, predicted_error, standard_error
 
 
 def resized(scene: Scene, sensor: int, width: int, height: int) -> Scene:
@@ -40,52 +40,81 @@ def cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def _lanes(pixels: int, threads: int, chunk: int) -> int:
-    """Pixels a program: at most `chunk`, small enough that every core gets some, of few sizes."""
+LANE_BYTES = 4096
+"""What a lane holds while it works, at most: its state, and what a bounce computes for it."""
+
+
+def machine_memory() -> int:
+    """Bytes of memory of this machine; 4 GiB where it does not say."""
+    try:
+        return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    except (AttributeError, OSError, ValueError):  # not POSIX
+        return 4 << 30
+
+
+def _lanes(film: tuple[int, int, int], threads: int, chunk: int, memory: float) -> int:
+    """Pixels a program: at most `chunk`, small enough that every core gets some and memory suffices; of few sizes."""
+    width, height, channels = film
+    pixels, room = width * height, memory - 4 * 4 * channels * width * height  # picture, error, and both in the file
+    if room < threads * 256 * LANE_BYTES:
+        raise SceneError(
+            f"memory: {memory / 1e6:.0f} MB do not hold a picture of {width}x{height}, "
+            f"which takes {(memory - room) / 1e6 + 1:.0f} MB; give more memory or a smaller size"
+        )
     size = 256
-    while size < chunk and size * threads < pixels:
+    while size < chunk and size * threads < pixels and 2 * size * threads * LANE_BYTES <= room:
         size *= 2
     return min(size, chunk)
 
 
-def _tiles(width: int, height: int, side: int = 16) -> np.ndarray:
-    """Pixels (row · width + column) tile by tile: a program ends with its longest lane, and neighbours are alike."""
-    row, column = np.divmod(np.arange(width * height, dtype=np.int32), width)
-    return np.lexsort((column, row, column // side, row // side)).astype(np.int32)
+def _tiled(places: np.ndarray, width: int, height: int, side: int = 16) -> np.ndarray:
+    """Pixels (row · width + column) at these places of an order tile by tile.
+
+    A program ends with its longest lane, and the paths of neighbours are alike.
+    """
+    band, within = np.divmod(places, width * side)
+    rows = np.minimum(side, height - band * side)
+    tile, within = np.divmod(within, rows * side)
+    row, column = np.divmod(within, np.minimum(side, width - tile * side))
+    return ((band * side + row) * width + tile * side + column).astype(np.int32)
 
 
 def render(
     scene: Scene,
     spp: int | None = None,
-    seed: int = 0,
+    seed: Any = 0,
     *,
     method: Literal["auto", "path"] = "auto",
     max_depth: int | None = None,
     rr_depth: int | None = None,
     sensor: int = 0,
     plan: Plan | None = None,
-    chunk: int = LANES,
+    chunk: int | None = None,
+    memory: float | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> Solution:
     """A picture with its standard error.
 
     `spp`: samples a pixel, by default what the scene file asks. `max_depth` as Mitsuba counts it (1:
     emission only; −1: no end). `plan`: by default specialised on all values of the scene. `chunk`: pixels
-    in flight a core; the same seed, plan and chunk give the same bits, another chunk the same within
-    rounding. `progress`: called with the share done. Raises `SceneError` for wrong arguments.
+    in flight a core, by default what is fastest; the same seed, plan and chunk give the same bits, another
+    chunk the same within rounding. `memory`: bytes that picture and pixels in flight may take, by default a
+    quarter of the machine's. `progress`: called with the share done. Raises `SceneError` for wrong arguments.
     """
     if method not in ("auto", "path"):
         raise SceneError(f"method: {method!r} is not known; give auto or path")
     spp = scene.structure.asked().spp if spp is None else spp
-    if spp < 1 or int(spp) != spp:
-        raise SceneError(f"spp: is {spp}; give a whole number of at least 1")
-    if chunk < 1:
-        raise SceneError(f"chunk: is {chunk}; give at least 1")
+    for name, value in (("spp", spp), ("chunk", 1 if chunk is None else chunk)):
+        if not isinstance(value, (int, np.integer)) or value < 1:
+            raise SceneError(f"{name}: is {value}; give a whole number of at least 1")
+    spp = int(spp)
     view, depths = view_of(scene, sensor), depths_of(scene, max_depth, rr_depth)
     plan = plan or make_plan(scene, free=None)
     width, height = view.width, view.height
     n, threads = width * height, cores()
-    lanes = _lanes(n, threads, chunk)
+    memory = machine_memory() / 4 if memory is None else memory
+    chunk = (LANES if plan.backend == "dense" else WIDE) if chunk is None else chunk
+    lanes = _lanes((width, height, plan.out_channels), threads, chunk, memory)
 
     # Run-time numbers go in as arrays: other sizes, depths and seeds use the same program.
     numbers = lambda tree: jax.tree.map(np.asarray, tree)
@@ -93,53 +122,51 @@ def render(
     depths = numbers(path.Depths(np.int32(depths.max_depth), np.int32(depths.rr_depth), np.bool_(depths.hide_emitters)))
     key = np.asarray(seed_of(seed))
     began = time.perf_counter()
-    order = _tiles(width, height)
-    first = np.resize(order, lanes)
+    pixels_of = lambda block: _tiled(np.arange(block * lanes, (block + 1) * lanes) % n, width, height)
+    scene, view = in_working_precision((scene, view))
     tables = dataclasses.replace(scene, structure=Structure(), plan=None)  # names and sensors make no other world
-    world = program(prepare, tables, plan)(tables, plan)
-    run = program(path.trace, world, view, depths, key, first, np.int32(0), np.int32(1))
+    world = program(prepare, tables, plan, keep=plan.backend != "embree")(tables, plan)
+    run = program(path.trace, world, view, depths, key, pixels_of(0), np.int32(0), np.int32(1))
     compiled = time.perf_counter()
 
     blocks = -(-n // lanes)
     passes = [(a, min(a + PASS, spp)) for a in range(0, spp, PASS)]
-    sums = np.zeros((n, path.SETS, plan.channels))
+    counts = np.array([len(range(k, spp, path.SETS)) for k in range(path.SETS)])
+    image, variance = (np.empty((n, plan.channels), np.float32) for _ in range(2))
     rays = np.zeros(blocks, np.int64)
     done = 0
-
-    def work(job: tuple[int, tuple[int, int]]) -> None:
-        nonlocal done
-        block, (a, b) = job
-        start, stop = block * lanes, min((block + 1) * lanes, n)
-        pixels = np.resize(order[start:stop], lanes)
-        values, cast = run(world, view, depths, key, pixels, np.int32(a), np.int32(b))
-        sums[order[start:stop]] += np.asarray(values, np.float64)[: stop - start]
-        rays[block] += int(np.asarray(cast, np.int64)[: stop - start].sum())
-        done += 1
-        if progress:
-            progress(done / (blocks * len(passes)))
-
     stop_asked = threading.Event()
 
-    def column(block: int) -> None:
-        for bounds in passes:  # in order, so that sums do not depend on which thread was faster
+    def work(block: int) -> None:
+        """All samples of a block of pixels, in order, so that sums do not depend on which thread was faster."""
+        nonlocal done
+        pixels, used = pixels_of(block), min(lanes, n - block * lanes)
+        sums = np.zeros((used, path.SETS, plan.channels))
+        for first, last in passes:
             if stop_asked.is_set():
                 return
-            work((block, bounds))
+            values, cast = run(world, view, depths, key, pixels, np.int32(first), np.int32(last))
+            sums += np.asarray(values, np.float64)[:used]
+            rays[block] += int(np.asarray(cast, np.int64)[:used].sum())
+            done += 1
+            if progress:
+                progress(done / (blocks * len(passes)))
+        image[pixels[:used]], variance[pixels[:used]] = mean_and_variance(sums, counts)
 
     if progress:
         progress(0.0)
     with ThreadPoolExecutor(threads) as pool:
         try:
-            list(pool.map(column, range(blocks)))
+            list(pool.map(work, range(blocks)))
         except BaseException:
             stop_asked.set()  # an interrupt waits for one pass, not for the picture
             raise
     finished = time.perf_counter()
 
-    counts = np.array([len(range(k, spp, path.SETS)) for k in range(path.SETS)])
     shape = (height, width, plan.out_channels)
-    image = (sums.sum(1) / spp).reshape(height, width, -1)
-    stderr, variance = standard_error(sums, counts, (height, width))
+    image, variance = (a.reshape(height, width, -1) for a in (image, variance))
+    error = predicted_error(image, variance)
+    stderr = standard_error(variance)
     stats = {
         "samples": n * spp,
         "spp": spp,
@@ -157,16 +184,11 @@ def render(
         "version": __version__,
         "scene": scene.structure.source,
         "plan": sorted(plan.effects),
-        "seed": seed,
+        "seed": int(seed) if isinstance(seed, (int, np.integer)) else f"key {int(key)}",
         "method": "path",
         "samples": spp,
         "max_depth": stats["max_depth"],
         "seconds": finished - began,
     }
-    return Solution(
-        np.broadcast_to(image, shape).astype(np.float32),
-        np.broadcast_to(stderr, shape).astype(np.float32),
-        stats,
-        predicted_error(image, variance),
-        header,
-    )
+    wide = lambda a: a if a.shape == shape else np.repeat(a, shape[2], 2)
+    return Solution(wide(image), wide(stderr), stats, error, header)

@@ -13,26 +13,34 @@ import numpy as np
 _POOL = (0.25, 0.5, 0.25)
 
 
-def standard_error(sums: np.ndarray, counts: np.ndarray, shape: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
-    """Standard error of each pixel's mean, (H, W, C), and its variance unpooled, from sums (H·W, sets, C) of sets.
-
-    The few independent sets of one pixel give its variance 3 degrees of freedom; a binomial average over its
-    3 x 3 neighbours gives about 20, so that normal quantiles have the right coverage. Totals over the picture
-    are better taken of the unpooled variance, which does not spread from highlights. NaN below two sets.
-    """
+def mean_and_variance(sums: np.ndarray, counts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Each pixel's mean and that mean's variance, (N, C), from sums (N, sets, C); variance NaN below two sets."""
     used = counts > 0
-    height, width = shape
+    total = float(counts.sum())
+    mean = sums.sum(1) / total
     if used.sum() < 2:
-        nothing = np.full((height, width, sums.shape[-1]), np.nan)
-        return nothing, nothing
-    n, total = counts[used][None, :, None].astype(float), float(counts.sum())
-    means = sums[:, used] / n
-    mean = sums[:, used].sum(1, keepdims=True) / total
-    variance = (n * (means - mean) ** 2).sum(1) / (used.sum() - 1) / total
-    v = own = variance.reshape(height, width, -1)
-    for axis in (0, 1):
-        v = _pooled(v, axis) / _pooled(np.ones_like(v), axis)
-    return np.sqrt(v), own
+        return mean, np.full_like(mean, np.nan)
+    n = counts[used][None, :, None].astype(float)
+    return mean, (n * (sums[:, used] / n - mean[:, None]) ** 2).sum(1) / (used.sum() - 1) / total
+
+
+def standard_error(variance: np.ndarray) -> np.ndarray:
+    """Standard errors (H, W, C) from variances that the few sets of each pixel gave; takes the place of its argument.
+
+    The sets of one pixel give its variance 3 degrees of freedom; a binomial average over its 3 x 3 neighbours
+    gives about 20, so that normal quantiles have the right coverage. Totals over the picture are better taken
+    of the unpooled variance, which does not spread from highlights.
+    """
+    height, above = len(variance), variance[:0].copy()
+    for start in range(0, height, 256):  # in bands, each with a row of its neighbours
+        stop = min(start + 256, height)
+        rows = np.concatenate([above, variance[start : stop + 1]])
+        above = variance[stop - 1 : stop].copy()
+        for axis in (0, 1):
+            rows = _pooled(rows, axis) / _pooled(np.ones_like(rows), axis)
+        first = 0 if start == 0 else 1
+        variance[start:stop] = np.sqrt(rows[first : first + stop - start])
+    return variance
 
 
 def _pooled(v: np.ndarray, axis: int) -> np.ndarray:
@@ -53,8 +61,10 @@ def relative_mse(image: Any, reference: Any) -> float:
 
 def predicted_error(image: np.ndarray, variance: np.ndarray) -> float:
     """√relMSE that a picture's variances predict."""
-    square = image.astype(np.float64) ** 2
-    return float(np.sqrt((variance / np.maximum(square + 0.01 * square.mean(), 1e-300)).mean()))
+    square = lambda row: row.astype(np.float64) ** 2
+    epsilon = max(0.01 * sum(square(row).sum() for row in image) / image.size, 1e-300)
+    parts = [(v / (square(row) + epsilon)).sum() for row, v in zip(image, variance, strict=True)]
+    return float(np.sqrt(sum(parts) / image.size))
 
 
 @dataclasses.dataclass
@@ -63,7 +73,7 @@ class Solution:
 
     image: radiance, W·m⁻²·sr⁻¹. stderr: standard error of each value (NaN below two samples a pixel).
     relative_error: √relMSE that the variances of pixels predict.
-    stats: samples, rays, iterations, max_depth, method, why, seconds_compile, seconds_run, devices, threads.
+    stats: samples, spp, rays, iterations, max_depth, method, why, seconds_compile, seconds_run, threads, nonfinite.
     """
 
     image: np.ndarray

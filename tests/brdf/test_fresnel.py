@@ -58,7 +58,9 @@ def test_known_metals_at_normal_incidence():
 
 def test_brewster_and_grazing():
     brewster = np.full(N, np.cos(np.arctan(1.5)), np.float32)
-    assert float(_many(np.float32(1.5), np.float32(0), brewster)[0]) == pytest.approx(exact(1.5, 0, brewster[0]), abs=1e-6)
+    assert float(_many(np.float32(1.5), np.float32(0), brewster)[0]) == pytest.approx(
+        exact(1.5, 0, brewster[0]), abs=1e-6
+    )
     assert float(_many(np.float32(1.5), np.float32(2), COSINES)[-1]) == pytest.approx(1.0, abs=1e-6)
 
 

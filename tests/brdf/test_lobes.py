@@ -42,7 +42,10 @@ def material(alpha, reflectance=1.0, eta=0.0, k=1.0):
 
 @functools.partial(jax.jit, static_argnums=0)
 def _values(lobe, m, wi, wo):
-    one = lambda a, b: (brdf.eval((lobe,), m, Vec3.of(a), Vec3.of(b)).channels[0], brdf.pdf((lobe,), m, Vec3.of(a), Vec3.of(b)))
+    one = lambda a, b: (
+        brdf.eval((lobe,), m, Vec3.of(a), Vec3.of(b)).channels[0],
+        brdf.pdf((lobe,), m, Vec3.of(a), Vec3.of(b)),
+    )
     return jax.vmap(one)(wi, wo)
 
 
@@ -173,7 +176,9 @@ def test_energy_is_conserved_for_a_collimated_beam(case):
             assert 0 < a <= 1 + 2e-4, (z, phi)
             if case == "diffuse":
                 assert a == pytest.approx(1, abs=1e-5)
-    assert albedo(case, direction(0.5, 1.0), reflectance=0.25) == pytest.approx(0.25 * albedo(case, direction(0.5, 1.0)))
+    assert albedo(case, direction(0.5, 1.0), reflectance=0.25) == pytest.approx(
+        0.25 * albedo(case, direction(0.5, 1.0))
+    )
 
 
 FURNACE = {  # oracles: α, then directional albedo at cosθ = 1, .5, .1

@@ -26,7 +26,16 @@ def _draw(scene, x, n, plan):
         light = emitter.sample(world, Vec3.of(x), Stream(i, seed), 0)
         y = cast(world, Vec3.of(x), light.w)
         met = emitter.density(world, Vec3.of(x), y, light.w)
-        return light.w.array(), light.distance, light.radiance.array(), light.pdf, light.face, y.face, met, dot(Vec3.of(n), light.w)
+        return (
+            light.w.array(),
+            light.distance,
+            light.radiance.array(),
+            light.pdf,
+            light.face,
+            y.face,
+            met,
+            dot(Vec3.of(n), light.w),
+        )
 
     seeds, index = jnp.arange(SETS, dtype=jnp.uint32) * jnp.uint32(77), jnp.arange(POINTS, dtype=jnp.uint32)
     return jax.vmap(lambda s: jax.vmap(lambda i: one(s, i))(index))(seeds)
@@ -149,7 +158,9 @@ def test_a_sphere_light_over_a_tilted_receiver(tilt):
     assert_is(Draws(ball(), (0, 0, 0), n).irradiance(), SPHERE[tilt], 2e-3 if tilt < 100 else 0.03)
 
 
-@pytest.mark.parametrize("radius, distance", [(5e-5, 1.0), (1e-3, 1.0), (1.0, 1e4), (1e3, 1e4), (1e-6, 2e-6), (1.0, 1.001)])
+@pytest.mark.parametrize(
+    "radius, distance", [(5e-5, 1.0), (1e-3, 1.0), (1.0, 1e4), (1e3, 1e4), (1e-6, 2e-6), (1.0, 1.001)]
+)
 def test_a_sphere_at_any_size_and_distance(radius, distance):
     """E = π (R/r)² for a receiver that faces it, down to 1e-8 sr (oracles, hard case 7)."""
     draws = Draws(ball((0.0, 0.0, distance), radius), (0, 0, 0), (0, 0, 1))
@@ -172,9 +183,13 @@ def test_inside_a_sphere_that_shines_inwards():
 
 
 FACES = {
-    "triangle": jaxrt.Mesh(vertices=[(-0.6, -0.5, 1), (-0.3, 0.7, 1.1), (0.7, -0.4, 0.8)], faces=[[0, 1, 2]], emission=1.0),
+    "triangle": jaxrt.Mesh(
+        vertices=[(-0.6, -0.5, 1), (-0.3, 0.7, 1.1), (0.7, -0.4, 0.8)], faces=[[0, 1, 2]], emission=1.0
+    ),
     "square": jaxrt.Rectangle(emission=1.0, **LAMP),
-    "rhomboid": jaxrt.Rectangle(emission=1.0, to_world=LAMP["to_world"] @ np.array([[1, 0.8, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1.0]])),
+    "rhomboid": jaxrt.Rectangle(
+        emission=1.0, to_world=LAMP["to_world"] @ np.array([[1, 0.8, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1.0]])
+    ),
     "strip": jaxrt.Rectangle(emission=1.0, to_world=LAMP["to_world"] @ np.diag([4.0, 0.04, 1, 1])),
 }
 
@@ -330,7 +345,9 @@ def test_the_density_integrates_to_the_chance_of_a_lit_sample():
     """∫ density dσ = Σ chance over what is seen: the mean of density/pdf' for directions drawn otherwise."""
     draws = everywhere()
     # Importance weights of the sampler against itself: E[1/pdf] over lit samples is the solid angle of all lights.
-    solid = np.where(draws.pdf > 0, 1 / np.where(draws.pdf > 0, draws.pdf, 1), 0) * (draws.face == lights()[1]["sphere"])
+    solid = np.where(draws.pdf > 0, 1 / np.where(draws.pdf > 0, draws.pdf, 1), 0) * (
+        draws.face == lights()[1]["sphere"]
+    )
     d = np.array([0, 4, 2]) - X
     want = 2 * np.pi * (1 - np.sqrt(1 - 0.8**2 / (d @ d)))
     assert_is(mean_and_error(solid.mean(1)), want, 0.02)
@@ -344,7 +361,12 @@ def test_samples_beyond_the_enclosure_have_no_density():
     def density(w):
         world = prepare(scene, jaxrt.plan(scene))
         one = lambda w: (
-            emitter.density(world, Vec3.of(jnp.asarray(X, jnp.float32)), y := cast(world, Vec3.of(jnp.asarray(X, jnp.float32)), Vec3.of(w)), Vec3.of(w)),
+            emitter.density(
+                world,
+                Vec3.of(jnp.asarray(X, jnp.float32)),
+                y := cast(world, Vec3.of(jnp.asarray(X, jnp.float32)), Vec3.of(w)),
+                Vec3.of(w),
+            ),
             y.face,
         )
         return jax.vmap(one)(w)

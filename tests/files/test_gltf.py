@@ -273,7 +273,7 @@ def change(doc, path, value):
         (["nodes", 0, "rotation"], [0, 0, 0, 0], "quaternion"),
         (["nodes", 0, "scale"], [1, 1], "scale"),
         (["nodes", 0, "matrix"], [1, 0, 0, 0.5, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1], r"nodes\[0\]: has a perspective"),
-        (["nodes", 0], {"mesh": 0, "children": [1], "scale": [1e300, 1e300, 1e300]}, r"nodes\[1\]"),
+        (["nodes", 0], {"mesh": 0, "children": [1], "scale": [1e300, 1e300, 1e300]}, r"nodes\[0\]"),
         (["nodes", 0, "translation"], [1, float("nan"), 0], "translation"),
         (["meshes", 0, "primitives", 0, "material"], 5, r"materials\[5\]"),
         (["meshes", 0, "primitives", 0, "attributes", "POSITION"], 3, r"accessors\[3\]"),

@@ -21,7 +21,9 @@ def points(index, seed, pair):
 
 
 def draw(n, seed=0, pair=0, first=0):
-    return np.asarray(points(np.arange(first, first + n, dtype=np.uint32), np.uint32(seed), np.uint32(pair)), np.float64)
+    return np.asarray(
+        points(np.arange(first, first + n, dtype=np.uint32), np.uint32(seed), np.uint32(pair)), np.float64
+    )
 
 
 def cells(p, a, b):
@@ -104,8 +106,12 @@ def test_two_pairs_integrate_a_product():
 
 def test_scrambling_is_uniform_for_the_first_point():
     """Over seeds, every single point is uniform in the square: else a picture of few samples is biased."""
-    first = np.asarray(jax.jit(jax.vmap(lambda s: jnp.stack(Stream(np.uint32(0), s).pair_at(0))))(sobol.hash_u32(
-        jnp.arange(65536, dtype=jnp.uint32))), np.float64)
+    first = np.asarray(
+        jax.jit(jax.vmap(lambda s: jnp.stack(Stream(np.uint32(0), s).pair_at(0))))(
+            sobol.hash_u32(jnp.arange(65536, dtype=jnp.uint32))
+        ),
+        np.float64,
+    )
     counts = np.histogram2d(first[:, 0], first[:, 1], 16, range=[[0, 1], [0, 1]])[0]
     assert stats.chisquare(counts.ravel()).pvalue > 1e-4
 
@@ -138,7 +144,9 @@ def test_the_second_dimension_is_that_of_sobol():
 def test_keys_of_either_style_and_integers_seed_the_hash():
     new, old = jax.random.key(3), jax.random.PRNGKey(3)
     assert int(sobol.seed_of(new)) == int(sobol.seed_of(old))
-    seeds = [sobol.seed_of(k) for k in (jax.random.key(1), jax.random.key(2), jax.random.fold_in(new, 1), 0, 1, 2**32, -1)]
+    seeds = [
+        sobol.seed_of(k) for k in (jax.random.key(1), jax.random.key(2), jax.random.fold_in(new, 1), 0, 1, 2**32, -1)
+    ]
     assert len({int(s) for s in seeds}) == len(seeds)
 
 

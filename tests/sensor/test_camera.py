@@ -26,7 +26,9 @@ def _rays(kind, fov_axis, to_world, lens, size, at, u):
     return jax.vmap(one)(at, u)
 
 
-def rays(at, size, kind="perspective", fov_axis="x", to_world=None, fov=50.0, near=0.01, aperture=0.0, focus=1.0, u=None):
+def rays(
+    at, size, kind="perspective", fov_axis="x", to_world=None, fov=50.0, near=0.01, aperture=0.0, focus=1.0, u=None
+):
     at = np.atleast_2d(np.asarray(at, np.float32))
     u = np.zeros_like(at) if u is None else np.asarray(u, np.float32)
     m = np.asarray(np.eye(4) if to_world is None else to_world, np.float32)

@@ -93,6 +93,8 @@ def test_a_ramp_averages_to_the_filter_weighted_mean(name, column):
     low, high, _ = distribution(name, column + 0.5, W)
     want = integrate.quad(lambda q: q * h(q - column - 0.5), low, high, points=[column + 0.5])[0]
     want /= integrate.quad(lambda q: h(q - column - 0.5), low, high, points=[column + 0.5])[0]
-    u = np.asarray(jax.vmap(lambda i: jnp.stack(Stream(i, np.uint32(5)).pair_at(0)))(jnp.arange(4096, dtype=jnp.uint32)))
+    u = np.asarray(
+        jax.vmap(lambda i: jnp.stack(Stream(i, np.uint32(5)).pair_at(0)))(jnp.arange(4096, dtype=jnp.uint32))
+    )
     # 4096 stratified points: half a stratum of the support; the table adds as much.
     np.testing.assert_allclose(positions(name, column, 3, u)[:, 0].mean(), want, atol=FILTERS[name][1] * 1e-3)

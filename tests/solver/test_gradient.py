@@ -126,7 +126,11 @@ def furnace_mean(rho, key=3, depth=3):
 def test_first_and_second_derivative_of_a_furnace():
     """L = Le (1 + ρ + ρ²) for every sample, so L' = Le (1 + 2ρ) and L'' = 2 Le."""
     value, slope, bend = jax.jit(
-        lambda r: (furnace_mean(r), jax.grad(furnace_mean)(r), jax.jvp(jax.grad(furnace_mean), (r,), (jnp.ones(()),))[1])
+        lambda r: (
+            furnace_mean(r),
+            jax.grad(furnace_mean)(r),
+            jax.jvp(jax.grad(furnace_mean), (r,), (jnp.ones(()),))[1],
+        )
     )(jnp.float32(0.5))
     np.testing.assert_allclose([value, slope, bend], [1.5 * 1.75, 1.5 * 2.0, 1.5 * 2.0], rtol=1e-5)
 
@@ -154,8 +158,12 @@ WHITE = jaxrt.Diffuse(0.5, id="white")
 def box():
     """A box with red-ish walls in grey, a lit ceiling, a lamp that is off, a rough metal wall and a ball of metal."""
     bsdfs = {"left": jaxrt.Diffuse(0.6, id="red"), "right": jaxrt.Diffuse(0.3, id="green")}
-    bsdfs |= {k: WHITE for k in ("floor", "ceiling", "back")} | {"front": jaxrt.Conductor(0.4, 0.9, 2.5, 0.9, id="metal")}
-    lamp = jaxrt.Rectangle(id="lamp", to_world=moved(0.3, (0.4, 0.5, -0.4), frame((-0.5, 0.2, 0.6), (1, 0, 0))), emission=0.0)
+    bsdfs |= {k: WHITE for k in ("floor", "ceiling", "back")} | {
+        "front": jaxrt.Conductor(0.4, 0.9, 2.5, 0.9, id="metal")
+    }
+    lamp = jaxrt.Rectangle(
+        id="lamp", to_world=moved(0.3, (0.4, 0.5, -0.4), frame((-0.5, 0.2, 0.6), (1, 0, 0))), emission=0.0
+    )
     sensor = camera((0.2, -0.9, 0.1), (0.1, 0.9, -0.1), 16, 16, 70.0)
     scene = box_room(bsdfs=bsdfs, emission={"ceiling": 1.0}, others=[lamp], sensors=[sensor])
     names = ["red.reflectance", "white.reflectance", "ceiling.emitter.radiance", "lamp.emitter.radiance"]
@@ -348,7 +356,11 @@ def crystal():
     """A convex room of 20 facets, each as bright and as grey as the others: L = Le (1 − ρ³)/(1 − ρ) whatever its shape."""
     v, f = icosphere(0)
     room = jaxrt.Mesh(
-        id="room", vertices=v * [1.0, 1.2, 0.9], faces=f[:, ::-1].copy(), emission=1.0, bsdf=jaxrt.Diffuse(0.5, id="wall")
+        id="room",
+        vertices=v * [1.0, 1.2, 0.9],
+        faces=f[:, ::-1].copy(),
+        emission=1.0,
+        bsdf=jaxrt.Diffuse(0.5, id="wall"),
     )
     scene = jaxrt.Scene.build([room], sensors=[camera((0.1, -0.2, 0.1), (1, 1, 0.2), 16, 16, 60.0)])
     return Setting(scene, ["room.vertices"], 16, 3, jaxrt.plan(scene, light_sampling=False))
@@ -399,3 +411,50 @@ def test_every_derivative_of_everything_is_finite():
         leaf = np.asarray(getattr(out, name))
         assert np.isfinite(leaf).all(), name
         assert np.abs(leaf).max() > 0, name
+
+
+def test_a_black_surface_can_be_left():
+    """d/dρ at ρ = 0: the path ends in value but not in derivative."""
+    floor = jaxrt.Rectangle(to_world=moved(5.0, (0, 0, 0)), bsdf=jaxrt.Diffuse(0.0, id="paint"))
+    scene = jaxrt.Scene.build([floor], enclosure=jaxrt.Enclosure(1.0))
+    f = lambda r: jaxrt.radiance(jaxrt.with_params(scene, {"paint.reflectance": r}), (0, 0, 1), (0, 0, -1), max_depth=2)
+    np.testing.assert_allclose(jax.jit(jax.jacrev(f))(jnp.zeros(1)), [[1.0]], rtol=1e-5)
+    np.testing.assert_allclose(jax.jit(f)(jnp.full(1, 0.6)), [0.6], rtol=1e-5)  # constants in a caller's program
+
+
+def test_irradiance_under_a_lamp_that_rises():
+    """dE/dz by Lambert's formula for a square on its axis, in the lamp's height and in the meter's."""
+    lamp = moved(0.5, (0, 0, 1), frame((0, 0, -1), (1, 0, 0)))
+    floor = jaxrt.Rectangle(to_world=moved(5.0, (0, 0, -1)))
+    scene = jaxrt.Scene.build([floor, jaxrt.Rectangle(id="lamp", emission=1.0, to_world=lamp)])
+
+    def meter(z, height):
+        pose = jnp.asarray(lamp, jnp.float32).at[2, 3].set(z)
+        moved_scene = jaxrt.with_params(scene, {"lamp.to_world": pose})
+        at = jnp.stack([0.0, 0.0, height])
+        return jaxrt.irradiance(moved_scene, at, jnp.asarray([0.0, 0, 1]), spp=4096, max_depth=1, plan=scene.plan)[0]
+
+    def exact(z):
+        x = 0.5 / np.hypot(z, 0.5)
+        return 4 * x * np.arctan(x)
+
+    want = (exact(0.701) - exact(0.699)) / 0.002
+    up, down = jax.jit(jax.grad(meter, (0, 1)))(1.0, 0.3)
+    assert float(up) == pytest.approx(want, rel=3e-3) and float(down) == pytest.approx(-want, rel=3e-3)
+
+
+def test_a_tube_of_light_that_tilts():
+    """dE/dz of one end of an outward tube over a meter: central differences with the same numbers."""
+    tube = jaxrt.Cylinder(id="tube", p0=(-1, 0, 1), p1=(1, 0, 1.2), radius=0.3, emission=1.0, bsdf=jaxrt.Diffuse(0.0))
+    floor = jaxrt.Rectangle(to_world=moved(5.0, (0, 0, -1)))
+    scene = jaxrt.Scene.build([tube, floor])
+    o, n = np.broadcast_to([0.2, 0.1, 0.0], (64, 3)), np.broadcast_to([0, 0, 1.0], (64, 3))
+
+    @jax.jit
+    def mean(z):
+        tilted = jaxrt.with_params(scene, {"tube.p0": jnp.stack([-1.0, 0.0, z])})
+        return jaxrt.irradiance(tilted, o, n, spp=1024, max_depth=1, plan=scene.plan).mean()
+
+    slope = jax.jit(jax.grad(mean))(1.0)
+    h = 0.02
+    assert float(slope) == pytest.approx(float((mean(1 + h) - mean(1 - h)) / (2 * h)), rel=0.02)

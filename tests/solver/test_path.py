@@ -6,6 +6,7 @@ import subprocess
 import sys
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import optimistix
 import pytest
@@ -41,7 +42,9 @@ def render(scene, spp, seed=0, max_depth=-1, rr_depth=10**6, lights=True, **more
 
 def mean_of(solution):
     """Mean of a picture and its standard error."""
-    return solution.image.mean(dtype=np.float64), np.sqrt((solution.stderr.astype(np.float64) ** 2).sum()) / solution.image.size
+    return solution.image.mean(dtype=np.float64), np.sqrt(
+        (solution.stderr.astype(np.float64) ** 2).sum()
+    ) / solution.image.size
 
 
 def z(a, b):
@@ -264,16 +267,27 @@ def test_depth_0_is_black():
 
 
 def test_hidden_emitters():
-    """Only what the camera sees itself is hidden: a furnace loses one Le."""
-    scene = room(0.5, (8, 8), walls=1.5)
-    asked = dataclasses.replace(scene.structure, integrator=(-1, 5, True, 16))
-    hidden = render(dataclasses.replace(scene, structure=asked), 4, max_depth=12, lights=False).image
-    np.testing.assert_allclose(hidden, 1.5 * (1 - 0.5**12) / (1 - 0.5) - 1.5, rtol=1e-5)
+    """The camera looks through a lamp at the wall behind it, which the lamp still lights."""
+    wall = jaxrt.Rectangle(to_world=moved(3.0, (0, 0, 0)), bsdf=jaxrt.Diffuse(0.5))
+    lamp = jaxrt.Rectangle(to_world=moved(0.5, (0, 0, 1), frame((0, 0, -1), (1, 0, 0))), emission=1.0)
+    hide = jaxrt.Integrator(max_depth=2, hide_emitters=True)
+    scene = jaxrt.Scene.build(
+        [wall, lamp], sensors=[camera((0, 0, 3), (0, 0, 0), 4, 4, 2.0, up=(0, 1, 0))], integrator=hide
+    )
+    image = jaxrt.render(scene, 1024).image
+    x = 0.5 / np.hypot(1.0, 0.5)  # form factor of a square on its axis: 4/(2π) 2 X atan X
+    np.testing.assert_allclose(image.mean(), 0.5 * 4 / np.pi * x * np.arctan(x), rtol=0.01)
+    shown = dataclasses.replace(scene, structure=dataclasses.replace(scene.structure, integrator=(2, 5, False, 1)))
+    np.testing.assert_array_equal(jaxrt.render(shown, 4).image, 0.0)  # its back
+    slope = jax.grad(lambda r: jaxrt.measure(jaxrt.with_params(scene, {"diffuse.reflectance": r}), 0, spp=256).mean())
+    np.testing.assert_allclose(slope(jnp.array([0.5])), [2 * image.mean()], rtol=0.02)
 
 
 def test_hidden_emitters_shine_on_meters():
     """hide_emitters is about pictures: irradiance keeps all light."""
-    hidden = dataclasses.replace(lamps(), structure=dataclasses.replace(lamps().structure, integrator=(-1, 5, True, 16)))
+    hidden = dataclasses.replace(
+        lamps(), structure=dataclasses.replace(lamps().structure, integrator=(-1, 5, True, 16))
+    )
     points = np.zeros((N_METERS, 3))
     assert_form_factor(mean_irradiance(points, (0, 0, 1), hidden), 0.239456470)
 
@@ -284,6 +298,42 @@ def test_what_the_scene_file_asks_for_is_the_default():
     solution = jaxrt.render(dataclasses.replace(scene, structure=asked), plan=plan(False))
     np.testing.assert_allclose(solution.image, 1.5 * 1.75, rtol=1e-5)
     assert solution.stats["spp"] == 4 and solution.stats["max_depth"] == 3
+
+
+@pytest.mark.parametrize("half", [1.0, 100.0])
+@pytest.mark.parametrize("inwards", [False, True])
+def test_tubes_do_not_hide_their_own_light(half, inwards):
+    """Light sampling agrees with reflection alone, whatever the size of the scene around."""
+    tube = jaxrt.Cylinder(
+        p0=(-1, 0, 1), p1=(1, 0, 1.2), radius=0.3, emission=1.0, flip_normals=inwards, bsdf=jaxrt.Diffuse(0.0)
+    )
+    scene = jaxrt.Scene.build(
+        [tube, jaxrt.Rectangle(to_world=moved(half, (0, 0, 0))), jaxrt.Rectangle(to_world=moved(0.01, (0, 0, 1.1)))]
+    )
+    at = (0.1, 0.1, 1.05) if inwards else (0.2, 0.1, 0.5)
+    o, n = np.broadcast_to(at, (64, 3)), np.broadcast_to([0, 0, -1.0 if inwards else 1.0], (64, 3))
+    both, one = (
+        mean_and_error(jaxrt.irradiance(scene, o, n, spp=1024, max_depth=1, plan=jaxrt.plan(scene, light_sampling=on)))
+        for on in (True, False)
+    )
+    assert one[0] > 0.1
+    assert abs(both[0] - one[0]) < 4 * np.hypot(both[1], one[1]) + 1e-3 * one[0]
+
+
+def test_a_dark_lamp_takes_nothing_from_a_bright_one():
+    """A plan that relies on the dark one staying dark, in any order of the two."""
+    lamps = [
+        jaxrt.Rectangle(
+            to_world=moved(0.5, (x, 0, 1), frame((0, 0, -1), (1, 0, 0))), emission=e, bsdf=jaxrt.Diffuse(0.0)
+        )
+        for x, e in ((-0.6, 0.0), (0.6, 1.0))
+    ]
+    means = []
+    for order in (lamps, lamps[::-1], lamps[1:]):
+        scene = jaxrt.Scene.build([jaxrt.Rectangle(to_world=moved(3.0, (0, 0, 0))), *order])
+        plan = jaxrt.plan(scene, free=None)
+        means.append(float(jaxrt.radiance(scene, (0, 0, 0.5), (0, 0, -1), spp=8192, max_depth=2, plan=plan)[0]))
+    np.testing.assert_allclose(means, means[2], rtol=0.01)
 
 
 def test_a_tube_that_shines_inwards_is_dark_outside():
@@ -428,7 +478,9 @@ def test_the_picture_does_not_change_with_scale(scale):
 def test_the_picture_does_not_change_with_place(shift):
     """Moved by 1e4 m the room's own numbers are rounded to 1e-3 m; its light stays."""
     scene = room(0.7, ceiling=1.0, left=0.3)
-    values = {f"{k}.to_world": moved(1.0, (shift,) * 3) @ np.asarray(jaxrt.params(scene)[f"{k}.to_world"]) for k in WALLS}
+    values = {
+        f"{k}.to_world": moved(1.0, (shift,) * 3) @ np.asarray(jaxrt.params(scene)[f"{k}.to_world"]) for k in WALLS
+    }
     pose = np.array(jaxrt.params(scene)["sensor.to_world"])
     pose[:3, 3] += shift
     values |= {"sensor.to_world": pose}
@@ -491,7 +543,9 @@ def test_a_meter_sums_what_its_rays_see():
     mean, error = mean_and_error(
         np.pi * np.asarray(jaxrt.radiance(scene, p + [[0, 0, 1e-5]], rays, 3, plan=plan(), spp=256, max_depth=3))[:, 0]
     )
-    meters = np.asarray(jaxrt.irradiance(scene, np.repeat(p, 1536, 0), np.repeat(n, 1536, 0), 8, plan=plan(), spp=64, max_depth=3))
+    meters = np.asarray(
+        jaxrt.irradiance(scene, np.repeat(p, 1536, 0), np.repeat(n, 1536, 0), 8, plan=plan(), spp=64, max_depth=3)
+    )
     direct, direct_error = mean_and_error(meters[:, 0])
     assert direct_error < 0.01 * direct
     assert abs(mean - direct) < 4 * np.hypot(error, direct_error)

@@ -1,0 +1,235 @@
+"""The Embree backend: many triangles and parallelograms on a CPU in float32. Other kinds go to the dense tests.
+
+Embree comes inside the embreex package. A scene is built on the host once for each content of its vertices, by one
+callback a call of `measure`, and known to compiled programs by a token, the address of its record. Rays go to it
+through an XLA call that `embree_handler` compiles. Faces reach out by the tolerance like those of every backend.
+"""
+
+from __future__ import annotations
+
+import collections
+import ctypes
+import functools
+import hashlib
+import importlib.metadata
+import importlib.util
+import threading
+import time
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, UInt32
+
+from ..vector import Vec3
+from .dense import Dense, affine, several
+
+ROBUST, FILTERED = 4, 8  # RTC_SCENE_FLAG_ROBUST and _FILTER_FUNCTION_IN_ARGUMENTS
+TRIANGLES, QUADS = 0, 1  # RTC_GEOMETRY_TYPE_TRIANGLE and _QUAD
+INDEX, VERTEX = 0, 1  # RTC_BUFFER_TYPE_INDEX and _VERTEX
+UINT3, UINT4, FLOAT3 = 0x5003, 0x5004, 0x9003  # RTC_FORMAT_*
+FACE_BYTES = 250  # Embree's own share of a face, about
+BUDGET = 1 << 30  # bytes that scenes may take together; the two last ones stay in any case
+GRACE = 30.0  # seconds after which nothing can still be tracing a scene that was let go
+GONE = b"the search structure of this geometry was let go; make the scene's psi or world again"
+
+
+class Embree(eqx.Module):
+    """Search over the faces (origin, e₁, e₂) of a scene; `token` is the address of Embree's scene in two words."""
+
+    token: UInt32[Array, " 2"]
+    rest: Dense
+    center: Float[Array, " 3"]
+    least: Float[Array, ""]
+
+    @classmethod
+    def build(cls, geometry: Any, maps: Any, counts: Any, blocks: tuple[int, ...], center: Any, epsilon: Any) -> Embree:
+        """As `Dense.build`; builds Embree's scene in a callback, so it works under jit, grad and vmap."""
+        o, a, b = geometry[:, :3] - center[None], geometry[:, 3:6], geometry[:, 6:9]
+        u, v = maps[:, 4:7], maps[:, 8:11]
+        s = (0.5 * epsilon * jnp.sqrt(jnp.maximum(jnp.sum(u * u, -1), jnp.sum(v * v, -1))))[:, None]
+        at = lambda f, g: o + a * f + b * g
+        t, q = slice(0, blocks[0]), slice(blocks[0], sum(blocks[:2]))
+        triangles = jnp.stack([at(-s, -s), at(1 + 2 * s, -s), at(-s, 1 + 2 * s)], 1)[t]
+        quads = jnp.stack([at(-s, -s), at(1 + s, -s), at(1 + s, 1 + s), at(-s, 1 + s)], 1)[q]
+        shape = jax.ShapeDtypeStruct((2,), jnp.uint32)
+        rest = Dense.build(geometry, maps, counts, blocks, center, epsilon, first_kind=2)
+        arrays = (triangles.astype(jnp.float32), quads.astype(jnp.float32), counts[:2])
+        token = jax.pure_callback(_token, shape, *jax.lax.stop_gradient(arrays), vmap_method="sequential")
+        return cls(token, rest, center, -0.5 * epsilon)
+
+    def closest(self, o: Vec3, d: Vec3, exclude: Any = None) -> Any:
+        """Number of the first face along the ray, −1 if none. `exclude`: faces to skip, one or several numbers."""
+        far = jnp.full_like(d.x, jnp.inf)
+        kinds = (jax.ShapeDtypeStruct((), jnp.float32), jax.ShapeDtypeStruct((), jnp.int32))
+        t, face = self._call("jaxrt_embree_closest", kinds, o, d, far, exclude)
+        if sum(self.rest.blocks[2:]) == 0:
+            return face
+        return self.rest.closest(o, d, exclude, (jnp.where(face < 0, jnp.inf, t + self.least), face))
+
+    def occluded(self, o: Vec3, d: Vec3, distance: Any, exclude: Any = None) -> Any:
+        """Whether any face but the excluded ones lies before `distance` (m)."""
+        kind = (jax.ShapeDtypeStruct((), jnp.int32),)
+        far = jnp.maximum(jax.lax.stop_gradient(distance) - self.least, 0.0)
+        found = self._call("jaxrt_embree_occluded", kind, o, d, far, exclude)[0] != 0
+        if sum(self.rest.blocks[2:]) == 0:
+            return found
+        return found | self.rest.occluded(o, d, distance, exclude)
+
+    def _call(self, target: str, results: Any, o: Vec3, d: Vec3, far: Any, exclude: Any) -> Any:
+        start()
+        o, d, far = jax.lax.stop_gradient((o, d, far))
+        o = o - Vec3(*self.center) + d * self.least  # Embree counts distances from 0, we from `least`
+        numbers = [jnp.asarray(c, jnp.float32) for c in (*o, *d, far)]
+        faces = [jnp.asarray(e, jnp.int32) for e in several(exclude)]
+        return jax.ffi.ffi_call(target, results, vmap_method="broadcast_all")(self.token, *numbers, *faces)
+
+
+# ------------------------------------------------------------------------------------------ the library
+
+
+@functools.cache
+def _library() -> Any:
+    """Embree's C interface with its signatures. Raises where embreex is missing."""
+    files = importlib.metadata.files("embreex") or ()
+    path = next((str(f.locate()) for f in files if "embree4" in f.name), None)
+    if path is None:
+        raise ImportError("embreex has no Embree library inside")
+    library, pointer, word = ctypes.CDLL(path), ctypes.c_void_p, ctypes.c_uint
+    number, size = ctypes.c_int, ctypes.c_size_t
+    for name, result, *arguments in (
+        ("rtcNewDevice", pointer, ctypes.c_char_p),
+        ("rtcNewScene", pointer, pointer),
+        ("rtcSetSceneFlags", None, pointer, number),
+        ("rtcNewGeometry", pointer, pointer, number),
+        ("rtcSetNewGeometryBuffer", pointer, pointer, number, word, number, size, size),
+        ("rtcCommitGeometry", None, pointer),
+        ("rtcAttachGeometryByID", None, pointer, pointer, word),
+        ("rtcReleaseGeometry", None, pointer),
+        ("rtcCommitScene", None, pointer),
+        ("rtcReleaseScene", None, pointer),
+    ):
+        function = getattr(library, name)
+        function.restype, function.argtypes = result, arguments
+    return library
+
+
+@functools.cache
+def _device() -> int:
+    device = _library().rtcNewDevice(b"")
+    if not device:
+        raise OSError("Embree does not start on this processor")
+    return device
+
+
+@functools.cache
+def start() -> None:
+    """Makes the compiled functions known to XLA, once a process."""
+    from . import embree_handler
+
+    capsule = ctypes.pythonapi.PyCapsule_New
+    capsule.restype, capsule.argtypes = ctypes.py_object, [ctypes.c_void_p, ctypes.c_char_p, ctypes.c_void_p]
+    for name in ("closest", "occluded"):
+        address = getattr(embree_handler, name).address
+        jax.ffi.register_ffi_target(f"jaxrt_embree_{name}", capsule(address, None, None), platform="cpu")
+
+
+@functools.cache
+def refusal() -> str | None:
+    """Why this backend cannot be used here, or None: what is missing, or what a test ray did."""
+    for package in ("embreex", "numba"):
+        if importlib.util.find_spec(package) is None:
+            return f"{package} is not installed"
+    try:
+        geometry = jnp.asarray([[0.0, 0, 1, 1, 0, 0, 0, 1, 0]], jnp.float32)
+        blocks, counts = (1, 0, 0, 0, 0), jnp.asarray([1, 0, 0, 0, 0], jnp.int32)
+        search = Embree.build(geometry, affine(geometry[:, :3], geometry[:, 3:6], geometry[:, 6:9]), counts, blocks,
+                              jnp.zeros(3, jnp.float32), jnp.float32(1e-6))  # fmt: skip
+        x = jnp.asarray([0.2, 0.7, 0.2], jnp.float32)
+        ray = Vec3(x, jnp.full(3, 0.2), jnp.zeros(3)), Vec3(jnp.zeros(3), jnp.zeros(3), jnp.asarray([1.0, 1.0, -1.0]))
+        faces = jax.vmap(search.closest)(*ray)
+        return None if faces.tolist() == [0, 0, -1] else f"a test ray met the wrong face: {faces.tolist()}"
+    except Exception as error:  # whatever a foreign library does, there is another backend
+        return " ".join(f"{type(error).__name__}: {error}".split())
+
+
+# ------------------------------------------------------------------------------------------- scenes by content
+
+
+class _Kept:
+    """A scene of Embree's with its record; the record stays for good, so that a late ray finds `alive` 0."""
+
+    def __init__(self, scene: int, faces: int, record: np.ndarray):
+        self.scene, self.bytes, self.record, self.let_go = scene, faces * FACE_BYTES, record, 0.0
+
+
+_scenes: collections.OrderedDict[bytes, _Kept] = collections.OrderedDict()
+_records: list[Any] = []
+_leaving: list[_Kept] = []
+_lock = threading.Lock()
+
+
+def _token(triangles: Any, quads: Any, counts: Any) -> np.ndarray:
+    """The address of the record of a scene with these corners, (T, 3, 3) and (Q, 4, 3), of which `counts` are used."""
+    triangles, quads, counts = np.asarray(triangles), np.asarray(quads), np.asarray(counts)
+    used = [np.ascontiguousarray(a[:n]) for a, n in zip((triangles, quads), counts, strict=True)]
+    content = hashlib.blake2b(np.asarray([len(triangles), *counts], np.int64).tobytes(), digest_size=16)
+    for a in used:
+        content.update(a.data)
+    with _lock:
+        kept = _scenes.get(content.digest())
+        if kept is None:
+            kept = _scenes[content.digest()] = _build(used[0], used[1], len(triangles))
+            _let_go()
+        _scenes.move_to_end(content.digest())
+    return np.array([kept.record.ctypes.data], np.int64).view(np.uint32)
+
+
+def _let_go() -> None:
+    """Least recently used scenes go while all take more than the budget; their memory a little later."""
+    while len(_scenes) > 2 and sum(k.bytes for k in _scenes.values()) > BUDGET:
+        kept = _scenes.popitem(last=False)[1]
+        kept.record[5], kept.let_go = 0, time.monotonic()
+        _leaving.append(kept)
+    for kept in [k for k in _leaving if time.monotonic() - k.let_go > GRACE]:
+        _library().rtcReleaseScene(kept.scene)
+        _leaving.remove(kept)
+
+
+def _build(triangles: np.ndarray, quads: np.ndarray, first_quad: int) -> _Kept:
+    from .embree_handler import RECORD, keep
+
+    library = _library()
+    scene = library.rtcNewScene(_device())
+    library.rtcSetSceneFlags(scene, ROBUST | FILTERED)
+    for number, (kind, corners, corner) in enumerate(((TRIANGLES, triangles, UINT3), (QUADS, quads, UINT4))):
+        n, k = corners.shape[:2]
+        if n == 0:
+            continue
+        geometry = library.rtcNewGeometry(_device(), kind)
+        numbers = np.arange(n * k, dtype=np.uint32)
+        buffers = ((VERTEX, FLOAT3, 12, n * k, corners), (INDEX, corner, 4 * k, n, numbers))
+        for use, form, size, count, values in buffers:
+            place = library.rtcSetNewGeometryBuffer(geometry, use, 0, form, size, count)
+            ctypes.memmove(place, values.ctypes.data, values.nbytes)
+        library.rtcCommitGeometry(geometry)
+        library.rtcAttachGeometryByID(scene, geometry, number)
+        library.rtcReleaseGeometry(geometry)
+    library.rtcCommitScene(scene)
+    record, address = np.zeros(8, np.int64), lambda f: ctypes.cast(f, ctypes.c_void_p).value or 0
+    message = ctypes.create_string_buffer(GONE)
+    words = {
+        "scene": scene,
+        "intersect": address(library.rtcIntersect16),
+        "occluded": address(library.rtcOccluded16),
+        "filter": keep.address,
+        "first_quad": first_quad,
+        "alive": 1,
+        "message": ctypes.addressof(message),
+    }
+    for name, word in words.items():
+        record[RECORD[name]] = word
+    _records.append((record, message))
+    return _Kept(scene, len(triangles) + len(quads), record)
