@@ -113,7 +113,8 @@ def one_function(f: Callable[..., Any]) -> Callable[..., Any]:
     inner = jax.jit(f)
 
     def call(*args: Any) -> Any:
-        leaves, tree = jax.tree.flatten(inner(*args))
+        # XLA aborts where it is to pass a constant of some size, as in a scene that a caller's jit closes over.
+        leaves, tree = jax.tree.flatten(inner(*jax.lax.optimization_barrier(args)))
         try:
             from jax.experimental.xla_metadata import set_xla_metadata
 

@@ -14,9 +14,7 @@ import argparse
 import csv
 import dataclasses
 import functools
-import glob
-import os
-import re
+import sys
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -24,6 +22,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+
+sys.path.insert(0, str(Path(__file__).parent.parent))
+from peer import load_mitsuba, timed  # noqa: E402
 
 HERE = Path(__file__).parent
 SCENE = HERE.parent.parent / "scenes" / "cornell_box.xml"
@@ -49,26 +50,6 @@ class Row:
         return self.rate(self.jaxrt) / self.rate(self.mitsuba)
 
 
-def load_mitsuba() -> tuple[Any, str] | None:
-    """Mitsuba in its fastest variant that works here, or None where it is not installed."""
-    names = glob.glob("/usr/lib/*/libLLVM*.so*") + glob.glob("/usr/lib/llvm-*/lib/libLLVM*.so*")
-    found = sorted(names, key=lambda name: [int(n) for n in re.findall(r"\d+", name)])
-    if found:
-        os.environ.setdefault("DRJIT_LIBLLVM_PATH", found[-1])
-    try:
-        import mitsuba as mi
-    except ImportError:
-        return None
-    for variant in ("llvm_ad_rgb", "scalar_rgb"):
-        try:
-            mi.set_variant(variant)
-            mi.load_dict({"type": "sphere"})
-            return mi, variant
-        except Exception as error:  # no LLVM: Dr.Jit has no exception of its own for it
-            print(f"{variant}: {str(error).splitlines()[0]}")
-    return None
-
-
 def turns(name: str, work: float, ours: Callable[[], Any], theirs: Callable[[], Any] | None, repeat: int) -> Row:
     """Both sides in turn: once to compile, then `repeat` times, of which the best counts. They return seconds."""
     sides = [ours, *([theirs] if theirs else [])]
@@ -82,13 +63,6 @@ def turns(name: str, work: float, ours: Callable[[], Any], theirs: Callable[[], 
         flush=True,
     )
     return row
-
-
-def timed(call: Callable[[], float | None]) -> float:
-    """Seconds of a call that blocks on its result; or what it returns, if it knows better."""
-    start = time.perf_counter()
-    known = call()
-    return known if known is not None else time.perf_counter() - start
 
 
 def paths(scene: Any, peer: Any, mi: Any, size: int, spp: int, depth: int, repeat: int) -> Row:

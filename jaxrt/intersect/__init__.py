@@ -13,10 +13,15 @@ import jax
 
 from ..vector import Vec3
 from . import embree
+from .bvh import Bvh
 from .dense import Dense, affine
 
 FEW = 128
 """Triangles and parallelograms up to which the dense backend is the fastest there is."""
+
+
+MANY = 700
+"""Faces from which the tree in JAX beats the dense backend, where there is no Embree."""
 
 
 class Search(Protocol):
@@ -27,7 +32,7 @@ class Search(Protocol):
     def occluded(self, o: Vec3, d: Vec3, distance: Any, exclude: Any = None) -> Any: ...
 
 
-BACKENDS = {"dense": Dense, "embree": embree.Embree}
+BACKENDS = {"dense": Dense, "bvh": Bvh, "embree": embree.Embree}
 
 
 def refusal(backend: str) -> str | None:
@@ -43,10 +48,10 @@ def refusal(backend: str) -> str | None:
 
 def choose(faces: int) -> tuple[str, str]:
     """The backend for so many triangles and parallelograms, and why."""
-    if faces <= FEW:
+    why = refusal("embree") if faces > FEW else None
+    if faces <= FEW or (why is not None and faces <= MANY):
         return "dense", f"{faces} faces"
-    why = refusal("embree")
-    return ("embree", f"{faces} faces") if why is None else ("dense", f"{faces} faces, and not embree: {why}")
+    return ("embree", f"{faces} faces") if why is None else ("bvh", f"{faces} faces; embree would be faster, but {why}")
 
 
 def build_search(

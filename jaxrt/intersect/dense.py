@@ -71,6 +71,10 @@ class Dense(eqx.Module):
 
         `best`: distance and face that another search has found already.
         """
+        return jnp.imag(self.nearest(o, d, exclude, best)).astype(jnp.int32)
+
+    def nearest(self, o: Vec3, d: Vec3, exclude: Any = None, best: tuple[Any, Any] | None = None) -> Any:
+        """As `closest`: distance (m) and face in one complex number, ∞ and −1 if none."""
         o, d = self._ray(o, d)
 
         # Distance and face travel as one complex number: XLA writes one kernel an output, and two
@@ -78,19 +82,19 @@ class Dense(eqx.Module):
         real = d.x.dtype
 
         def nearer(best: Any, face: Any, ok: Any, t: Any) -> Any:
-            ok = ok & (t < jnp.real(best)) & _allowed(face, exclude)
+            ok = ok & (t < jnp.real(best)) & allowed(face, exclude)
             return jnp.where(ok, jax.lax.complex(t, jnp.full_like(t, face.astype(real))), best)
 
         t, face = best or (jnp.full_like(d.x, jnp.inf), jnp.full_like(d.x, -1.0))
         found = jax.lax.complex(t, jnp.asarray(face, real))
-        return jnp.imag(self._each(o, d, found, nearer)).astype(jnp.int32)
+        return self._each(o, d, found, nearer)
 
     def occluded(self, o: Vec3, d: Vec3, distance: Any, exclude: Any = None) -> Any:
         """Whether any face but the excluded ones lies before `distance` (m)."""
         o, d = self._ray(o, d)
 
         def block(found: Any, face: Any, ok: Any, t: Any) -> Any:
-            return found | (ok & (t < distance) & _allowed(face, exclude))
+            return found | (ok & (t < distance) & allowed(face, exclude))
 
         return self._each(o, d, jnp.zeros(jnp.shape(d.x), bool), block)
 
@@ -118,7 +122,7 @@ class Dense(eqx.Module):
         return carry
 
 
-def _allowed(face: Any, exclude: Any) -> Any:
+def allowed(face: Any, exclude: Any) -> Any:
     if exclude is None:
         return True
     ok = True
@@ -151,20 +155,24 @@ def affine(o: Any, a: Any, b: Any) -> Any:
 
 def _flat_test(kind: str, table: Any) -> Callable[..., Any]:
     def test(k: Any, o: Vec3, d: Vec3) -> Any:
-        r = [table[k, j] for j in range(13)]
-        n, u, v = Vec3(*r[0:3]), Vec3(*r[4:7]), Vec3(*r[8:11])
-        t = -(dot(n, o) + r[3]) / dot(n, d)
-        p = o + d * t
-        a, b, slack = dot(u, p) + r[7], dot(v, p) + r[11], r[12]
-        if kind == "triangle":
-            inside = jnp.minimum(jnp.minimum(a, b), 1.0 - a - b) >= -slack
-        elif kind == "parallelogram":
-            inside = jnp.maximum(jnp.abs(a - 0.5), jnp.abs(b - 0.5)) <= 0.5 + slack
-        else:
-            inside = a * a + b * b <= 1.0
-        return ((inside, t),)
+        return (flat_crossing(kind, [table[k, j] for j in range(13)], o, d),)
 
     return test
+
+
+def flat_crossing(kind: str, r: Any, o: Vec3, d: Vec3) -> Any:
+    """Whether a ray crosses the flat face with the columns r, and at which distance."""
+    n, u, v = Vec3(*r[0:3]), Vec3(*r[4:7]), Vec3(*r[8:11])
+    t = -(dot(n, o) + r[3]) / dot(n, d)
+    p = o + d * t
+    a, b, slack = dot(u, p) + r[7], dot(v, p) + r[11], r[12]
+    if kind == "triangle":
+        inside = jnp.minimum(jnp.minimum(a, b), 1.0 - a - b) >= -slack
+    elif kind == "parallelogram":
+        inside = jnp.maximum(jnp.abs(a - 0.5), jnp.abs(b - 0.5)) <= 0.5 + slack
+    else:
+        inside = a * a + b * b <= 1.0
+    return inside, t
 
 
 def _sphere_test(table: Any) -> Callable[..., Any]:

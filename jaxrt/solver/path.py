@@ -256,7 +256,7 @@ def trace(world: World, begin: Any, depths: Depths, seed: Any, numbers: Any, fir
         lanes = jax.lax.while_loop(lambda c: jnp.any(c.sample < last), lambda c: jax.vmap(step)(numbers, c), lanes)
         return jnp.stack([s.array() for s in lanes.sums], 1), lanes.rays
 
-    whole = world.plan.bounces and world.plan.backend != "embree"  # XLA takes no foreign calls into one function
+    whole = world.plan.bounces and world.plan.backend == "dense"  # XLA takes no foreign calls into one function
     return (one_function(loop) if whole else loop)(lanes)
 
 

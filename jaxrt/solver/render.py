@@ -125,7 +125,7 @@ def render(
     pixels_of = lambda block: _tiled(np.arange(block * lanes, (block + 1) * lanes) % n, width, height)
     scene, view = in_working_precision((scene, view))
     tables = dataclasses.replace(scene, structure=Structure(), plan=None)  # names and sensors make no other world
-    world = program(prepare, tables, plan, keep=plan.backend != "embree")(tables, plan)
+    world = program(prepare, tables, plan, keep=plan.backend == "dense")(tables, plan)
     run = program(path.trace, world, view, depths, key, pixels_of(0), np.int32(0), np.int32(1))
     compiled = time.perf_counter()
 

@@ -268,7 +268,7 @@ def test_depth_0_is_black():
 
 def test_hidden_emitters():
     """The camera looks through a lamp at the wall behind it, which the lamp still lights."""
-    wall = jaxrt.Rectangle(to_world=moved(3.0, (0, 0, 0)), bsdf=jaxrt.Diffuse(0.5))
+    wall = jaxrt.Rectangle(to_world=moved(3.0, (0, 0, 0)), bsdf=jaxrt.Diffuse(0.5, id="paint"))
     lamp = jaxrt.Rectangle(to_world=moved(0.5, (0, 0, 1), frame((0, 0, -1), (1, 0, 0))), emission=1.0)
     hide = jaxrt.Integrator(max_depth=2, hide_emitters=True)
     scene = jaxrt.Scene.build(
@@ -279,7 +279,7 @@ def test_hidden_emitters():
     np.testing.assert_allclose(image.mean(), 0.5 * 4 / np.pi * x * np.arctan(x), rtol=0.01)
     shown = dataclasses.replace(scene, structure=dataclasses.replace(scene.structure, integrator=(2, 5, False, 1)))
     np.testing.assert_array_equal(jaxrt.render(shown, 4).image, 0.0)  # its back
-    slope = jax.grad(lambda r: jaxrt.measure(jaxrt.with_params(scene, {"diffuse.reflectance": r}), 0, spp=256).mean())
+    slope = jax.grad(lambda r: jaxrt.measure(jaxrt.with_params(scene, {"paint.reflectance": r}), 0, spp=256).mean())
     np.testing.assert_allclose(slope(jnp.array([0.5])), [2 * image.mean()], rtol=0.02)
 
 
