@@ -21,7 +21,7 @@ import numpy as np
 import trimesh
 
 sys.path.insert(0, str(Path(__file__).parent.parent))
-from peer import load_mitsuba, timed  # noqa: E402
+from peer import load_mitsuba, timed
 
 HERE = Path(__file__).parent
 LANES = 8192

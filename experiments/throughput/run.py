@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parent.parent))
-from peer import load_mitsuba, timed  # noqa: E402
+from peer import load_mitsuba, timed
 
 HERE = Path(__file__).parent
 SCENE = HERE.parent.parent / "scenes" / "cornell_box.xml"
