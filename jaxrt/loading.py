@@ -10,7 +10,8 @@ import numpy as np
 
 from .build import build
 from .files import load_description
-from .parts import Description, Mesh
+from .files.view import world_points
+from .parts import Description
 from .scene import Scene
 
 
@@ -35,15 +36,7 @@ def load(path: str | Path, /, **defaults: Any) -> Scene:
 
 def _beyond(description: Description) -> list[str]:
     """Sensors whose far end would cut something off: it is drawn all the same, and said."""
-    corners = np.array([[x, y, z, 1.0] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
-    points = []
-    for shape in description.shapes:
-        local = corners
-        if isinstance(shape, Mesh):
-            low, high = shape.vertices.min(0), shape.vertices.max(0)
-            local = np.column_stack([np.where(corners[:, :3] > 0, high, low), corners[:, 3]])
-        points.append(local @ shape.to_world.T)
-    world = np.concatenate(points)
+    world = np.concatenate([np.insert(world_points(shape), 3, 1.0, axis=1) for shape in description.shapes])
     notes = []
     for sensor in description.sensors:
         depth = float((world @ np.linalg.inv(sensor.to_world).T)[:, 2].max())

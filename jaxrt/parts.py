@@ -211,6 +211,8 @@ class Cylinder(Shape):
         name = self.id or "cylinder"
         self.p0, self.p1 = np.asarray(self.p0, np.float64), np.asarray(self.p1, np.float64)
         check(self.p0.shape == (3,) and self.p1.shape == (3,), name, "p0 and p1 are not points")
+        finite = bool((np.abs([self.p0, self.p1]) <= LARGEST).all())
+        check(finite, name, f"p0 or p1 is not finite, or beyond {LARGEST:g}; give finite points")
         self.radius = scalar(self.radius, f"{name}.radius")
         check(self.radius > 0, f"{name}.radius", f"is {self.radius:g}; give a positive one")
         check(float(np.linalg.norm(self.p1 - self.p0)) > 0, name, "p0 and p1 coincide; give it a length")
@@ -249,10 +251,10 @@ class Film:
             setattr(self, key, int(n))
         known = self.filter in ("box", "tent", "gaussian")
         check(known, "film.filter", f"{self.filter!r} is not box, tent or gaussian")
+        check(np.isfinite(self.stddev) and self.stddev > 0, "film.stddev", f"is {self.stddev}; give a positive number")
         if self.radius is None:
             self.radius = {"box": 0.5, "tent": 1.0, "gaussian": 4 * self.stddev}[self.filter]
-        check(np.isfinite(self.radius) and self.radius > 0, "film.radius", "is not positive")
-        check(np.isfinite(self.stddev) and self.stddev > 0, "film.stddev", "is not positive")
+        check(np.isfinite(self.radius) and self.radius > 0, "film.radius", f"is {self.radius}; give a positive number")
 
 
 @dataclasses.dataclass

@@ -30,11 +30,16 @@ def load_description(path: str | Path, /, **defaults: str | float) -> Descriptio
     if suffix == ".xml":
         from . import mitsuba
 
-        return complete(mitsuba.load(Path(path), defaults), light=False)
-    if suffix in (".glb", ".gltf"):
+        found, more = mitsuba.load(Path(path), defaults), {"light": False}
+    elif suffix in (".glb", ".gltf"):
         from .gltf import load_gltf
 
-        return complete(load_gltf(path))
-    from .mesh import load_obj, load_ply
+        found, more = load_gltf(path), {}
+    else:
+        from .mesh import load_obj, load_ply
 
-    return complete(load_obj(path) if suffix == ".obj" else load_ply(path), orient=True)
+        found, more = load_obj(path) if suffix == ".obj" else load_ply(path), {"orient": True}
+    try:
+        return complete(found, **more)
+    except SceneError as error:  # which knows no file
+        raise SceneError(f"{path}: {error}") from error

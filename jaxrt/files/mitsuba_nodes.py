@@ -77,7 +77,9 @@ def parse(path: pathlib.Path) -> Node:
     except defusedxml.DefusedXmlException:
         raise error(f"{path}: refers to a file by XML, which is refused; use <include>") from None
     except xml.sax.SAXParseException as problem:
-        raise error(f"{path}:{problem.getLineNumber()}: not well-formed XML ({problem.getMessage()})") from None
+        raise error(
+            f"{path}:{problem.getLineNumber()}: not well-formed XML ({problem.getMessage()}); mend it there"
+        ) from None
     except OSError as problem:
         raise error(f"{path}: cannot be read ({problem.strerror}); check its permissions") from None
     except (ValueError, LookupError) as problem:

@@ -894,8 +894,8 @@ def test_sensors_that_do_not_work(refused, body, problem):
         ('<integer name="width" value="0"/>', "film.width: is 0"),
         ('<float name="width" value="10"/>', "write it as <integer>"),
         ('<rfilter type="mitchell"/>', "use box, tent or gaussian"),
-        ('<rfilter type="tent"><float name="radius" value="0"/></rfilter>', "is not positive"),
-        ('<rfilter type="gaussian"><float name="stddev" value="0"/></rfilter>', "is not positive"),
+        ('<rfilter type="tent"><float name="radius" value="0"/></rfilter>', "give a positive"),
+        ('<rfilter type="gaussian"><float name="stddev" value="0"/></rfilter>', "give a positive"),
     ],
 )
 def test_films_that_do_not_work(refused, given, problem):

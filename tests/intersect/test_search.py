@@ -583,7 +583,9 @@ def test_derivatives_of_hits_and_misses(backend, monkeypatch):
     """Forward and reverse mode against central differences in float64, for every parameter of every kind of face and
     for the rays; rays that miss, graze an edge or lie in a plane put no NaN into cotangents (oracles, hard case 10)."""
     if backend != "dense":
-        pytest.skip("a search only tells the face, so one backend will do; embree has no float64 to take differences in")
+        pytest.skip(
+            "a search only tells the face, so one backend will do; embree has no float64 to take differences in"
+        )
     monkeypatch.setattr(dense, "UNROLL", 1)  # compiles sooner
     m = moved(0.8, (0.1, -0.2, 0.3), rotation(5))
     at = lambda x: moved(1.0, (x, 0, 0)) @ m
