@@ -72,7 +72,8 @@ class Embree(eqx.Module):
     def occluded(self, o: Vec3, d: Vec3, distance: Any, exclude: Any = None) -> Any:
         """Whether any face but the excluded ones lies before `distance` (m)."""
         kind = (jax.ShapeDtypeStruct((), jnp.int32),)
-        far = jnp.maximum(jax.lax.stop_gradient(distance) - self.least, 0.0)
+        distance = jax.lax.stop_gradient(distance)
+        far = jnp.where(distance > 0, distance - self.least, 0.0)
         found = self._call("jaxrt_embree_occluded", kind, o, d, far, exclude)[0] != 0
         if sum(self.rest.blocks[2:]) == 0:
             return found

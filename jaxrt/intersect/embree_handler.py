@@ -152,7 +152,7 @@ def _trace(n: int, buffers: int, excluded: int, results: int, occluded: bool) ->
             words[to + 16 * PRIMITIVE] = -1
             words[to + 16 * GEOMETRY] = -1
             words[to + 16 * 19] = -1
-            words[mask + count] = -1
+            words[mask + count] = -1 if load_f32(far + byte) > 0 else 0
             lane, count = lane + 1, count + 1
         first_quad = load_i64(record + 32)
         context[3] = first_quad

@@ -74,9 +74,13 @@ def start(world: World, o: Vec3, d: Vec3) -> PathState:
     )
 
 
-def hidden(world: World, o: Vec3, light: emitter.LightSample) -> Any:
-    """Whether something lies between o and a light sample. The search leaves out the light's own face."""
-    return light.hidden | world.search.occluded(o, light.w, light.distance * (1.0 - 1e-5), light.face)
+def hidden(world: World, o: Vec3, light: emitter.LightSample, asked: Any) -> Any:
+    """Whether something lies between o and a light sample. The search leaves out the light's own face.
+
+    Where it is not asked the distance is 0, with which some searches end at once.
+    """
+    distance = jnp.where(asked, light.distance * (1.0 - 1e-5), 0.0)
+    return light.hidden | world.search.occluded(o, light.w, distance, light.face)
 
 
 def bounce(world: World, depths: Depths, state: PathState, s: Stream) -> PathState:
@@ -109,7 +113,8 @@ def bounce(world: World, depths: Depths, state: PathState, s: Stream) -> PathSta
     # Direct light by a light sample, weighted against reflection.
     if plan.lights:
         node, light = world.settle(light_node(world, x, at, s))
-        blocked = hidden(world, leave(world, x, node.w), light)
+        useful = node.pdf if state.before is not None else node.weight.max()  # black surfaces have derivatives
+        blocked = hidden(world, leave(world, x, node.w), light, alive & (sg(useful) > 0))
         share = sg(balance(node.pdf, reflection_density(world, at, node.w)))
         lit = state.beta * node.weight * light.radiance * share
         radiance = radiance + lit.map(lambda c: jnp.where(alive & ~blocked, c, 0.0))
@@ -197,7 +202,8 @@ class Meters(eqx.Module):
             return begun
         light = emitter.sample(world, at, s.child(3), 1)
         cos = dot(frame.n, light.w)
-        ok = (light.pdf > 0) & (cos > 0) & ~hidden(world, at, light)
+        ok = (light.pdf > 0) & (cos > 0)
+        ok = ok & ~hidden(world, at, light, ok)
         share = sg(balance(light.pdf, jnp.maximum(cos, 0.0) / np.pi))
         scale = jnp.where(ok, cos * light.jacobian * share / jnp.where(ok, light.pdf, 1.0), 0.0)
         return replace(begun, radiance=light.radiance * scale)

@@ -48,7 +48,7 @@ def test_a_bare_object_gets_a_view_and_light():
     assert given_.notes == ["said before"]
 
 
-COORDINATE = st.floats(-1e3, 1e3)
+COORDINATE = st.floats(-1e3, 1e3).map(lambda x: round(x, 6))  # a size below rounding is none
 
 
 @QUICK
