@@ -33,6 +33,7 @@ def resized(scene: Scene, sensor: int, width: int, height: int) -> Scene:
     sensors = list(scene.structure.sensors)
     view_of(scene, sensor)
     sensors[sensor] = sensors[sensor].sized(width, height)
+    sensors[sensor].as_film()  # which says what it cannot be
     return dataclasses.replace(scene, structure=dataclasses.replace(scene.structure, sensors=tuple(sensors)))
 
 
