@@ -35,15 +35,15 @@ def _halves(x: Vec3, o: Vec3, e1: Vec3, e2: Vec3, four: Any) -> tuple[Any, Any]:
     return _triangle(x, o, e1, e2), jnp.where(four, _triangle(x, o + e1 + e2, -e1, -e2), 0.0)
 
 
-def _usable(sigma: Any) -> Any:
-    return (sigma > SMALLEST) & (sigma < LARGEST)
+def _density(sigma: Any) -> Any:
+    """1/σ, or 0 where the face is to be sampled by area."""
+    usable = (sigma > SMALLEST) & (sigma < LARGEST)
+    return jnp.where(usable, 1.0 / jnp.where(usable, sigma, 1.0), 0.0)
 
 
 def per_solid_angle(x: Vec3, o: Vec3, e1: Vec3, e2: Vec3, four: Any) -> Any:
     """1/σ of a face seen from x, or 0 where it is to be sampled by area."""
-    sigma = sum(_halves(x, o, e1, e2, four))
-    usable = _usable(sigma)
-    return jnp.where(usable, 1.0 / jnp.where(usable, sigma, 1.0), 0.0)
+    return _density(sum(_halves(x, o, e1, e2, four)))
 
 
 def _beside(a: Vec3, v: Vec3) -> Vec3:
@@ -58,7 +58,6 @@ def sample(x: Vec3, o: Vec3, e1: Vec3, e2: Vec3, four: Any, u: tuple[Any, Any]) 
     """
     first, second = _halves(x, o, e1, e2, four)
     sigma = first + second
-    usable = _usable(sigma)
     # One of the two triangles, and u[0] made uniform again.
     at = u[0] * sigma
     other = at >= first
@@ -89,4 +88,4 @@ def sample(x: Vec3, o: Vec3, e1: Vec3, e2: Vec3, four: Any, u: tuple[Any, Any]) 
     f = jnp.clip(-dot(to, across) * inverse, 0.0, 1.0)
     g = jnp.clip(-dot(w, cross(to, s1)) * inverse, 0.0, 1.0)
     f, g = jnp.where(other, 1.0 - f, f), jnp.where(other, 1.0 - g, g)
-    return f, g, jnp.where(usable, 1.0 / jnp.where(usable, sigma, 1.0), 0.0)
+    return f, g, _density(sigma)

@@ -26,7 +26,7 @@ from jaxtyping import Array, Float, Int32
 
 from ..compiler import one_function
 from ..vector import Vec3
-from .dense import Dense, allowed, flat_crossing, several
+from .dense import Dense, allowed, flat_columns, flat_crossing, several
 
 WIDTH = 16  # children of a node: one vector of 512 bits
 LEAF = 32  # most triangles of a leaf, or twice as many where that saves a level
@@ -115,10 +115,9 @@ class Bvh(eqx.Module):
             shape = jax.ShapeDtypeStruct(shape_of_order(blocks[0]), jnp.int32)
             order = jax.pure_callback(_order, shape, triangles, counts[0], vmap_method="sequential")
         dense = Dense.build(geometry, maps, counts, blocks, center, epsilon, first_kind=1)
-        table = Dense.build(geometry, maps, counts, blocks, center, epsilon).flat[0]
         faces = jnp.where(order < counts[0], order, -1)
         pad = lambda table: jnp.concatenate([table, jnp.zeros_like(table[:1], shape=(1, table.shape[1]))])
-        rows, edges = pad(table)[faces], pad(geometry[: blocks[0]])[faces]
+        rows, edges = pad(flat_columns(maps[: blocks[0]], epsilon))[faces], pad(geometry[: blocks[0]])[faces]
         # Where an inside test may reach out to, and the rounding of all that is computed from the box.
         o, a, b = edges[..., :3] - center[None, None], edges[..., 3:6], edges[..., 6:9]
         out = jnp.minimum(2 * rows[..., 12:], 100.0)

@@ -43,10 +43,7 @@ class Dense(eqx.Module):
         first_kind: int = 0,
     ) -> Dense:
         """Tables from faces (origin, e₁, e₂), shape (P, 9), by kind in `blocks`, and their `affine` maps."""
-        slack = 0.5 * epsilon
-        u, v = maps[:, 4:7], maps[:, 8:11]
-        steep = jnp.sqrt(jnp.maximum(jnp.sum(u * u, -1), jnp.sum(v * v, -1)))
-        table = jnp.concatenate([maps, (slack * steep)[:, None]], -1)
+        table = flat_columns(maps, epsilon)
         starts = [sum(blocks[:k]) for k in range(6)]
         flat = [table[starts[k] : starts[k + 1] if k >= first_kind else starts[k]] for k in range(3)]
         o, a, b = geometry[:, :3] - center[None], geometry[:, 3:6], geometry[:, 6:9]
@@ -123,8 +120,6 @@ class Dense(eqx.Module):
 
 
 def allowed(face: Any, exclude: Any) -> Any:
-    if exclude is None:
-        return True
     ok = True
     for other in several(exclude):
         ok = ok & (face != other)
@@ -151,6 +146,13 @@ def affine(o: Any, a: Any, b: Any) -> Any:
     constant = lambda w: -jnp.sum(w * o, -1, keepdims=True)
     # A face without area lies nowhere: its height is constant, so a ray never reaches it.
     return jnp.concatenate([n, jnp.where(ok, constant(n), 1.0), u, constant(u), v, constant(v)], -1)
+
+
+def flat_columns(maps: Any, epsilon: Any) -> Any:
+    """`affine` maps of flat faces, and how far in u and v their inside tests reach out, (n, 13)."""
+    u, v = maps[:, 4:7], maps[:, 8:11]
+    steep = jnp.sqrt(jnp.maximum(jnp.sum(u * u, -1), jnp.sum(v * v, -1)))
+    return jnp.concatenate([maps, (0.5 * epsilon * steep)[:, None]], -1)
 
 
 def _flat_test(kind: str, table: Any) -> Callable[..., Any]:

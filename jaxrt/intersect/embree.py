@@ -24,7 +24,7 @@ import numpy as np
 from jaxtyping import Array, Float, UInt32
 
 from ..vector import Vec3
-from .dense import Dense, affine, several
+from .dense import Dense, affine, flat_columns, several
 
 ROBUST, FILTERED = 4, 8  # RTC_SCENE_FLAG_ROBUST and _FILTER_FUNCTION_IN_ARGUMENTS
 TRIANGLES, QUADS = 0, 1  # RTC_GEOMETRY_TYPE_TRIANGLE and _QUAD
@@ -48,8 +48,7 @@ class Embree(eqx.Module):
     def build(cls, geometry: Any, maps: Any, counts: Any, blocks: tuple[int, ...], center: Any, epsilon: Any) -> Embree:
         """As `Dense.build`; builds Embree's scene in a callback, so it works under jit, grad and vmap."""
         o, a, b = geometry[:, :3] - center[None], geometry[:, 3:6], geometry[:, 6:9]
-        u, v = maps[:, 4:7], maps[:, 8:11]
-        s = (0.5 * epsilon * jnp.sqrt(jnp.maximum(jnp.sum(u * u, -1), jnp.sum(v * v, -1))))[:, None]
+        s = flat_columns(maps, epsilon)[:, 12:]
         at = lambda f, g: o + a * f + b * g
         t, q = slice(0, blocks[0]), slice(blocks[0], sum(blocks[:2]))
         triangles = jnp.stack([at(-s, -s), at(1 + 2 * s, -s), at(-s, 1 + 2 * s)], 1)[t]

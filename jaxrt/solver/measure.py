@@ -30,6 +30,11 @@ PASS = 256
 """Samples a pixel that are summed plainly; sums of passes are compensated."""
 
 
+def lanes_of(plan: Plan) -> int:
+    """Rays in flight in a program that pictures are made with."""
+    return LANES if plan.backend == "dense" else WIDE
+
+
 def view_of(scene: Scene, sensor: int) -> path.View:
     """Sensor number `sensor` as the loop sees it. Raises `SceneError` if there is none."""
     sensors = scene.structure.sensors
@@ -123,7 +128,7 @@ def _pixels(
     """Means of lanes 0..n−1, (n, C); compiled once for scenes and beginnings of one structure."""
     scene, begin = in_working_precision((scene, begin))
     world = prepare(scene, plan)
-    numbers = _chunks(jnp.arange(n, dtype=jnp.int32), LANES if plan.backend == "dense" else WIDE)
+    numbers = _chunks(jnp.arange(n, dtype=jnp.int32), lanes_of(plan))
     steps = max_depth + 2 * plan.hide_emitters if max_depth > 0 else max_depth  # to pass both sides of a lamp
     values = _means(world, begin, depths, seed_of(key), numbers, spp, steps)
     return jnp.broadcast_to(values.reshape(-1, plan.channels)[:n], (n, plan.out_channels))

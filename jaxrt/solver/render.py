@@ -22,7 +22,7 @@ from ..sampling.sobol import seed_of
 from ..scene import Scene, Structure, in_working_precision
 from ..world import prepare
 from . import path
-from .measure import LANES, PASS, WIDE, depths_of, view_of
+from .measure import PASS, depths_of, lanes_of, view_of
 from .solution import Solution, mean_and_variance, predicted_error, standard_error
 
 
@@ -114,7 +114,7 @@ def render(
     width, height = view.width, view.height
     n, threads = width * height, cores()
     memory = machine_memory() / 4 if memory is None else memory
-    chunk = (LANES if plan.backend == "dense" else WIDE) if chunk is None else chunk
+    chunk = lanes_of(plan) if chunk is None else chunk
     lanes = _lanes((width, height, plan.out_channels), threads, chunk, memory)
 
     # Run-time numbers go in as arrays: other sizes, depths and seeds use the same program.
