@@ -35,6 +35,8 @@ if TYPE_CHECKING:
         Disk,
         Enclosure,
         Film,
+        Group,
+        Instance,
         Integrator,
         Mesh,
         Rectangle,
@@ -57,8 +59,8 @@ _HOMES = {
     "effects": "Plan plan",
     "loading": "load",
     "operators": "D G K T add adjoint compose emission estimate inner neumann norm psi sub",
-    "parts": "Conductor Cube Cylinder Diffuse Disk Enclosure Film Integrator Mesh Rectangle SceneError Sensor Sphere"
-    " TwoSided",
+    "parts": "Conductor Cube Cylinder Diffuse Disk Enclosure Film Group Instance Integrator Mesh Rectangle SceneError"
+    " Sensor Sphere TwoSided",
     "rules": "BrdfRule LightRule MisRule QuadratureRule",
     "sampling.sobol": "Stream",
     "scene": "Scene params with_params",
@@ -95,6 +97,8 @@ __all__ = [
     "Enclosure",
     "Film",
     "G",
+    "Group",
+    "Instance",
     "Integrator",
     "K",
     "LightRule",

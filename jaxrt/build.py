@@ -18,6 +18,8 @@ from .parts import (
     Diffuse,
     Disk,
     Enclosure,
+    Group,
+    Instance,
     Integrator,
     Mesh,
     Rectangle,
@@ -132,8 +134,24 @@ def _material_rows(shapes: Sequence[Shape], channels: int, names: _Names) -> tup
     return np.array(rows), index
 
 
+def _as_mesh(shape: Shape) -> Mesh:
+    """A rectangle or cube as triangles, with Mitsuba's texture coordinates."""
+    if isinstance(shape, Mesh):
+        return shape
+    rows = _patches(shape)[1].reshape(-1, 3, 3)
+    corners = np.stack([rows[:, 0], rows[:, :2].sum(1), rows.sum(1), rows[:, ::2].sum(1)], 1)
+    mirrored = np.linalg.det(shape.to_world[:3, :3]) < 0  # fronts stay where the shape has them
+    four = np.arange(4 * len(rows)).reshape(-1, 4)[:, ::-1] if mirrored else np.arange(4 * len(rows)).reshape(-1, 4)
+    return Mesh(
+        vertices=corners.reshape(-1, 3),
+        faces=four[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 3),
+        uvs=np.tile([[0.0, 0], [1, 0], [1, 1], [0, 1]], (len(rows), 1)),
+        **{k: getattr(shape, k) for k in ("id", "to_world", "bsdf", "flip_normals")},
+    )
+
+
 def build(
-    shapes: Sequence[Shape],
+    shapes: Sequence[Shape | Instance],
     *,
     sensors: Sequence[Sensor] = (),
     enclosure: Enclosure | None = None,
@@ -146,6 +164,11 @@ def build(
     `channels`: length of a spectrum; by default the longest that a part has. Raises `SceneError`
     for a scene without shapes and for spectra of other lengths.
     """
+    instances = [s for s in shapes if isinstance(s, Instance)]
+    grouped: dict[int, Group] = {id(s.group): s.group for s in instances}
+    placed = [s for s in shapes if not isinstance(s, Instance)]
+    members = [[_as_mesh(s) for s in group.shapes] for group in grouped.values()]
+    shapes = [*placed, *(s for group in members for s in group)]
     if not shapes:
         raise SceneError(f"{source or 'scene'}: has no shapes; add at least one")
     enclosure, integrator = enclosure or Enclosure(), integrator or Integrator()
@@ -195,6 +218,12 @@ def build(
 
     counts = [sum(len(rows) for _, rows in by_kind[kind]) for kind in KINDS]
     blocks = [bucket(n) for n in counts]
+    sizes = [sum(len(mesh.faces) for mesh in group) for group in members]
+    counts[0] -= sum(sizes)
+    groups = [(counts[0] + sum(sizes[:k]), n) for k, n in enumerate(sizes)]
+    group_of = [list(grouped).index(id(s.group)) for s in instances]
+    for k, instance in enumerate(instances):
+        names.add(f"{names.part(instance.id or 'instance')}.to_world", "instances", k)
     face_shape, patches, layout, lights = [], [], [], []
     for kind, block in zip(KINDS, blocks, strict=True):
         owner, at, start = [], sum(blocks[: KINDS.index(kind)]), 0
@@ -220,8 +249,13 @@ def build(
 
     real = np.float64 if jax.config.jax_enable_x64 else np.float32  # pyright: ignore[reportAttributeAccessIssue]
     put = jax.device_put  # unlike jnp.asarray, compiles nothing for a new shape
-    f = lambda a, shape, n, fill=0.0: put(_padded(np.array(a, real).reshape(-1, *shape), n, fill))
-    i = lambda a, n, fill=0: put(_padded(np.array(a, np.int32), n, fill))
+
+    def f(a: Any, shape: tuple[int, ...], n: int, fill: Any = 0.0) -> Any:
+        return put(_padded(np.array(a, real).reshape(-1, *shape), n, fill))
+
+    def i(a: Any, n: int, fill: Any = 0) -> Any:
+        return put(_padded(np.array(a, np.int32), n, fill))
+
     join = lambda parts, width: np.concatenate([np.zeros((0, width)), *parts])
     rows, pad = bucket(len(shapes)), bucket(first)
     to_world = f([s.to_world for s in shapes], (4, 4), rows)
@@ -239,10 +273,14 @@ def build(
         finishes=i(finishes, bucket(len(finishes))),
         materials=f(materials, (materials.shape[1],), bucket(len(materials))),
         radiance=f(radiance, (c,), bucket(len(radiance))),
+        instances=f([s.to_world for s in instances] or np.zeros((0, 4, 4)), (4, 4), bucket(len(instances)), np.eye(4)),
+        instance_group=i(group_of, bucket(len(instances)), -1),
+        groups=i(np.array(groups, int).reshape(-1, 2), bucket(len(groups)), (sum(blocks), 0)),
         lights=i(lights, bucket(len(lights)), -1),
         sensor_to_world=f([s.to_world for s in sensors], (4, 4), len(sensors)),
         lens=f([(s.fov, s.near, s.far, s.aperture_radius, s.focus_distance) for s in sensors], (5,), len(sensors)),
         blocks=tuple(blocks),
+        copies=bucket(sum(sizes[g] for g in group_of)),
         structure=Structure(
             slots=tuple(names.slots.items()),
             shapes=tuple(layout),

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 
 CPU_OPTIONS: dict[str, str | bool] = {"xla_cpu_prefer_vector_width": "512"}
 """XLA keeps to vectors of 256 bits, which leaves a fifth of the speed of wide cores unused."""
@@ -108,19 +109,42 @@ def one_function(f: Callable[..., Any]) -> Callable[..., Any]:
 
     A bounce is some hundred short kernels over the lanes; queueing them doubles the time on jax 0.10. XLA does
     this by itself for small loops (its `small_call`); we ask for it, and use cores by running several programs.
-    The loop has to be a real one: XLA aborts where it can take the whole call apart beforehand.
+    What it does outside of loops should be small: XLA fails where it wants to split that over threads. And it
+    aborts where it could take the call apart beforehand, where it is to pass a constant (as in a scene that
+    a caller's jit closes over), or where an argument comes out as unused: so a zero made of all of them goes
+    into the first array that f returns, which the caller has to use.
     """
-    inner = jax.jit(f)
 
     def call(*args: Any) -> Any:
-        # XLA aborts where it is to pass a constant of some size, as in a scene that a caller's jit closes over.
-        leaves, tree = jax.tree.flatten(inner(*jax.lax.optimization_barrier(args)))
+        leaves, tree = jax.tree.flatten(args)
+        leaves = [jnp.asarray(leaf) for leaf in leaves]
+        empty = {k: leaf for k, leaf in enumerate(leaves) if leaf.size == 0}  # which XLA takes for constants
+
+        structures = []
+
+        def inner(given: dict[int, Any]) -> Any:
+            whole = given | {k: jnp.zeros_like(leaf) for k, leaf in empty.items()}
+            values = f(*jax.tree.unflatten(tree, [whole[k] for k in range(len(leaves))]))
+            (first, *others), structure = jax.tree.flatten(values)
+            structures.append(structure)
+            zero = _zero(given)
+            first = first.at[(0,) * first.ndim].add(zero.astype(first.dtype))
+            return [first, *others, zero]  # never one array: XLA would split it over threads
+
+        given = {k: leaf for k, leaf in enumerate(leaves) if k not in empty}
+        *values, _ = jax.jit(inner)(jax.lax.optimization_barrier(given))
         try:
             from jax.experimental.xla_metadata import set_xla_metadata
 
-            leaves[0] = set_xla_metadata(leaves[0], inlineable="false", xla_cpu_small_call="true")
+            values[0] = set_xla_metadata(values[0], inlineable="false", xla_cpu_small_call="true")
         except (ImportError, TypeError):  # a hint only: other versions of jax run without it
             pass
-        return jax.tree.unflatten(tree, leaves)
+        return jax.tree.unflatten(structures[-1], values)
 
     return call
+
+
+def _zero(tree: Any) -> Any:
+    """0, in a way that XLA does not see through, made of every array in the tree."""
+    total = sum(leaf.reshape(-1)[0].astype(jnp.float32) for leaf in jax.tree.leaves(tree))
+    return jax.lax.clz(jax.lax.bitcast_convert_type(total, jnp.int32)) >> 6

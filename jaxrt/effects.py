@@ -44,6 +44,7 @@ class Plan:
     enclosure: bool
     bounces: bool
     hide_emitters: bool
+    instances: bool
     backend: str
     out_channels: int
     reasons: tuple[tuple[str, bool, str], ...] = dataclasses.field(default=(), compare=False, repr=False)
@@ -154,8 +155,10 @@ def plan(scene: Scene, free: str | Iterable[str] | None = (), *, backend: str | 
     sampled = chosen["light_sampling"] and chosen["area_light"] and emitting
     chosen["solid_angle"] &= sampled
 
+    group = np.asarray(scene.instance_group)
+    sizes = np.asarray(scene.groups)[group[group >= 0], 1]
     if backend is None:
-        backend, why_backend = choose(int(view.counts[:2].sum()))
+        backend, why_backend = choose(int(view.counts[:2].sum() + sizes.sum()))
     elif backend not in BACKENDS:
         raise SceneError(f"backend: {backend!r} is not known; there are {', '.join(BACKENDS)}")
     elif (refused := refusal(backend)) is not None:
@@ -171,6 +174,7 @@ def plan(scene: Scene, free: str | Iterable[str] | None = (), *, backend: str | 
         ("rgb", chosen["rgb"], say(chosen["rgb"], f"{scene.channels} channels", "grey: one channel")),
         *((k, k in kinds, f"{view.counts[KINDS.index(k)]} faces") for k in KINDS),
         *((f"lobe:{name}", name in lobes, say(name in lobes, "a material uses it", "no material")) for name in LOBES),
+        ("instances", sizes.size > 0, f"{sizes.size} of {sizes.sum()} triangles together"),
         ("twosided", twosided != "none", f"{twosided} of the materials"),
         ("anisotropic", chosen["anisotropic"], say(anisotropic, "alpha_u differs from alpha_v", "no such material")),
         ("smooth_normals", chosen["smooth_normals"], say(smooth, "a mesh has vertex normals", "all faces are flat")),
@@ -205,6 +209,7 @@ def plan(scene: Scene, free: str | Iterable[str] | None = (), *, backend: str | 
         enclosure=chosen["enclosure"],
         bounces=chosen["bounces"],
         hide_emitters=structure.asked().hide_emitters,
+        instances=bool(sizes.size),
         backend=backend,
         out_channels=scene.channels,
         reasons=tuple(reasons),

@@ -207,6 +207,8 @@ def inner(scene: Scene | World, a: Any, b: Any, key: Any = 0, n: int = 4096) -> 
     world = world_of(scene)
     if world.blocks[4]:
         raise ValueError("inner: surfaces with cylinders are not supported; use a mesh")
+    if world.instances is not None:
+        raise ValueError("inner: surfaces of instances are not supported; write them out as meshes")
     seed = seed_of(key)
 
     def one(i: Any) -> Any:

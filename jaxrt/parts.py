@@ -220,6 +220,39 @@ class Cylinder(Shape):
         check(s[0] - s[2] <= 1e-4 * s[0], f"{name}.to_world", "scales unevenly; a cylinder needs an even scale")
 
 
+@dataclasses.dataclass(kw_only=True)
+class Group:
+    """Meshes, rectangles and cubes that instances place in the scene; by itself it is not in it. None may emit."""
+
+    shapes: Sequence[Shape]
+    id: str = ""
+
+    def __post_init__(self):
+        name = self.id or "group"
+        check(len(self.shapes) > 0, name, "has no shapes; give it some")
+        for shape in self.shapes:
+            member = shape.id or type(shape).__name__.lower()
+            flat = isinstance(shape, (Mesh, Rectangle, Cube))
+            check(flat, f"{name}.{member}", "cannot be in a group; put a mesh, a rectangle or a cube there")
+            check(shape.emission is None, f"{name}.{member}", "emits; take it out of the group")
+
+
+@dataclasses.dataclass(kw_only=True)
+class Instance:
+    """A group placed in the scene by `to_world`; its triangles and their tables are stored once for all instances."""
+
+    group: Group
+    to_world: Any = dataclasses.field(default_factory=lambda: np.eye(4))
+    id: str = ""
+
+    def __post_init__(self):
+        self.to_world = matrix(self.to_world, f"{self.id or 'instance'}.to_world")
+
+    def written_out(self) -> list[Shape]:
+        """The group's shapes where this instance has them."""
+        return [dataclasses.replace(s, to_world=self.to_world @ s.to_world) for s in self.group.shapes]
+
+
 # --------------------------------------------------------------- enclosure, sensors, integrator
 
 
@@ -311,7 +344,7 @@ class Integrator:
 class Description:
     """A whole scene as parts. `notes`: what the loader wants said on stderr (fallbacks it took)."""
 
-    shapes: Sequence[Shape]
+    shapes: Sequence[Shape | Instance]
     sensors: Sequence[Sensor] = ()
     enclosure: Enclosure | None = None
     integrator: Integrator = dataclasses.field(default_factory=Integrator)

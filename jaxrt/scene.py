@@ -103,10 +103,14 @@ class Scene(eqx.Module):
     finishes: Int32[Array, "Q 2"]  # (row of materials, row of radiance)
     materials: Float[Array, "M columns"]
     radiance: Float[Array, "E channels"]  # row 0: none, row 1: the enclosure, then area lights
+    instances: Float[Array, "I 4 4"]  # places of groups in the world
+    instance_group: Int32[Array, " I"]  # -1 for padding
+    groups: Int32[Array, "G 2"]  # first triangle and how many; they follow those that `counts` counts
     lights: Int32[Array, " L"]  # faces that emit, -1 for padding
     sensor_to_world: Float[Array, "N 4 4"]
     lens: Float[Array, "N 5"]  # fov (degrees), near, far, aperture radius, focus distance
     blocks: tuple[int, ...] = eqx.field(static=True)  # padded number of faces of each kind
+    copies: int = eqx.field(static=True)  # padded number of triangles that instances stand for
     structure: Structure = eqx.field(static=True)
     plan: Plan | None = eqx.field(static=True, default=None)
 

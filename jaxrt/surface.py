@@ -71,21 +71,31 @@ def surface_point(world: World, face: Any, o: Vec3, d: Vec3) -> SurfacePoint:
     """The point where the ray (o, d) meets a face; the enclosure for face −1: finite, far, normal −d."""
     plan, first = world.plan, world.first
     miss = face < 0
-    row = _row(world.faces, jnp.where(miss, world.faces.shape[0] - 1, face))
+    number, move, turn = face, lambda n, c: (n, c), lambda v: v
+    if world.instances is not None:
+        number, k = world.instances.find(face)
+        placement = world.instances.placement(k)
+        move, turn = placement.function, placement.vector
+    row = _row(world.faces, jnp.where(miss, world.faces.shape[0] - 1, number))
     center = Vec3(*world.center)
-    at, n, c0, side = o - center, _vec(row, FACE["n"]), row[FACE["height"]], row[FACE["side"]]
+    function = lambda name: move(_vec(row, FACE[name]), row[FACE[name] + 3])
+    at, side = o - center, row[FACE["side"]]
+    n, c0 = function("n")
+    if world.instances is not None:
+        size = jnp.where(face < world.instances.rows, 1.0, 1.0 / safe_sqrt(dot(n, n)))
+        n, c0 = n * size, c0 * size
     # Where the ray meets the face's plane, put back onto the plane against rounding over the distance.
     slope = dot(n, d)
     t = -(dot(n, at) + c0) / jnp.where(slope == 0, 1.0, slope)
     p = at + d * t
     p, normal = p - n * (dot(n, p) + c0), n
-    coordinate = lambda k: dot(_vec(row, FACE[k]), p) + row[FACE[k] + 3]
-    u, v = coordinate("u"), coordinate("v")
+    (nu, cu), (nv, cv) = function("u"), function("v")
+    u, v = dot(nu, p) + cu, dot(nv, p) + cv
     for kind in ("sphere", "cylinder"):
         if world.blocks[KINDS.index(kind)] == 0:
             continue
         # Other rows go through as the unit sphere or cylinder: no 0/0 in derivatives.
-        here = face >= first(kind)
+        here = number >= first(kind)
         middle, radius = where(here, n, Vec3(0.0, 0.0, 0.0)), jnp.where(here, c0, 1.0)
         axis = where(here, _vec(row, FACE["u"]), Vec3(0.0, 0.0, 1.0))
         least = -0.5 * world.epsilon
@@ -103,18 +113,18 @@ def surface_point(world: World, face: Any, o: Vec3, d: Vec3) -> SurfacePoint:
     shading, tangent, extra = normal, None, FACE["extra"]
     if plan.smooth_normals:
         n0, n1, n2 = (_vec(row, extra + 3 * k) for k in range(3))
-        smooth = (n0 * (1.0 - u - v) + n1 * u + n2 * v) * side
+        smooth = move(n0 * (1.0 - u - v) + n1 * u + n2 * v, 0.0)[0] * side
         given = (dot(smooth, smooth) > 1e-12) & ~miss
         shading, extra = normalise(where(given, smooth, normal)), extra + 9
     if plan.anisotropic:
-        tangent = _vec(row, extra)
+        tangent = turn(_vec(row, extra))
         if world.blocks[KINDS.index("disk")]:  # from the centre outwards
-            disk = (face >= first("disk")) & (face < first("sphere"))
-            middle = _vec(_row(world.geometry, jnp.maximum(face, 0)), 0)
+            disk = (number >= first("disk")) & (number < first("sphere"))
+            middle = _vec(_row(world.geometry, jnp.maximum(number, 0)), 0)
             tangent = where(disk, p + center - middle, tangent)
         for kind in ("sphere", "cylinder"):
             if world.blocks[KINDS.index(kind)]:
-                tangent = where(face >= first(kind), cross(_vec(row, FACE["u"]), normal), tangent)
+                tangent = where(number >= first(kind), cross(_vec(row, FACE["u"]), normal), tangent)
         given = (dot(tangent, tangent) > 0) & ~miss
         tangent = where(given, tangent, Frame.around(shading).s)
     return SurfacePoint(

@@ -6,6 +6,7 @@ sampling or the search does not. One row a face is gathered at each hit, and one
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any
 
 import equinox as eqx
@@ -17,11 +18,16 @@ from jaxtyping import Array, Bool, Float
 from .brdf import MaterialColumns
 from .effects import Plan
 from .effects import plan as make_plan
-from .intersect import Search, affine, build_search
+from .instances import Instances
+from .intersect import Faces, Search, affine, build_search
 from .scene import KINDS, Scene
 
 FACE = {"n": 0, "height": 3, "side": 4, "finish": 5, "density": 6, "u": 7, "v": 11, "extra": 15}
 """Columns of `World.faces`. Of a curved face: n is its centre (or foot), height its radius, u its axis."""
+
+
+FEW_LIGHTS = 16
+"""Lights that are looked at one by one; of more, one is searched for."""
 
 
 class World(eqx.Module):
@@ -33,7 +39,7 @@ class World(eqx.Module):
     face to its height and coordinates, or centre and radius of a curved one; side, finish, light density
     (1/m²); and as the plan calls for, three vertex normals and a tangent. The last row is the enclosure.
     `finishes` rows: material fields, then radiance. `light_rows`: geometry, normal, density,
-    chance, radiance, face.
+    chance, radiance, face. `light_bounds`: spheres (centre, radius) that hold all lights, m.
     """
 
     geometry: Float[Array, "P 9"]
@@ -41,11 +47,13 @@ class World(eqx.Module):
     finishes: Float[Array, "Q fields"]
     light_rows: Float[Array, "L fields"]
     light_cdf: Float[Array, " L"]
+    light_bounds: Float[Array, "K 4"]
     search: Search
     center: Float[Array, " 3"]
     radius: Float[Array, ""]  # of a sphere that holds all surfaces, m
     epsilon: Float[Array, ""]  # how far rounding may move a surface point, m
     present: Bool[Array, ""]  # true, in a way that the compiler cannot know
+    instances: Instances | None
     plan: Plan = eqx.field(static=True)
     blocks: tuple[int, ...] = eqx.field(static=True)
 
@@ -141,7 +149,7 @@ def _tangent(scene: Scene, a: Any, b: Any) -> Any:
     return jnp.where(det[:, None] != 0, (a * d2[:, 1:] - b * d1[:, 1:]) / safe, 0.0)
 
 
-def _bounds(scene: Scene, geometry: Any) -> tuple[Any, Any, Any]:
+def _bounds(scene: Scene, geometry: Any, instances: Instances | None) -> tuple[Any, Any, Any]:
     """Centre and radius of a sphere around all faces, and the largest coordinate."""
     o, a, b = geometry[:, :3], geometry[:, 3:6], geometry[:, 6:9]
     used = jnp.concatenate([jnp.arange(n) < scene.counts[k] for k, n in enumerate(scene.blocks) if n])
@@ -149,9 +157,32 @@ def _bounds(scene: Scene, geometry: Any) -> tuple[Any, Any, Any]:
     reach = jnp.abs(a) + jnp.abs(b) + jnp.abs(_unit(jnp.cross(a, b))) * jnp.linalg.norm(b, axis=-1, keepdims=True)
     low = jnp.where(curved[:, None], o - reach, o + jnp.minimum(a, 0) + jnp.minimum(b, 0))
     high = jnp.where(curved[:, None], o + reach, o + jnp.maximum(a, 0) + jnp.maximum(b, 0))
-    low = jnp.min(jnp.where(used[:, None], low, jnp.inf), 0)
-    high = jnp.max(jnp.where(used[:, None], high, -jnp.inf), 0)
+    boxes = [(jnp.where(used[:, None], low, jnp.inf), jnp.where(used[:, None], high, -jnp.inf))]
+    if instances is not None:
+        boxes.append(instances.boxes(scene.groups, low, high))
+    low = jnp.concatenate([box[0] for box in boxes]).min(0)
+    high = jnp.concatenate([box[1] for box in boxes]).max(0)
     return 0.5 * (low + high), 0.5 * jnp.linalg.norm(high - low), jnp.maximum(jnp.abs(low), jnp.abs(high)).max()
+
+
+def _light_bounds(scene: Scene, geometry: Any, real: Any) -> Any:
+    """Spheres (centre, radius) around the real lights, (L, 4); where there are many, one around all of them."""
+    face = jnp.where(real, scene.lights, 0)
+    o, a, b = (geometry[face, k : k + 3] for k in (0, 3, 6))
+    kind = jnp.searchsorted(jnp.cumsum(jnp.asarray(scene.blocks)), face, side="right")[:, None]
+    # Shares of e₁ and e₂ in the centre: triangle, parallelogram, disk and sphere, cylinder (e₁ is its axis).
+    share = jnp.asarray([[1 / 3, 1 / 3], [0.5, 0.5], [0, 0], [0, 0], [0.5, 0]], geometry.dtype)[kind[:, 0]]
+    center = o + share[:, :1] * a + share[:, 1:] * b
+    norm = lambda v: jnp.linalg.norm(v, axis=-1, keepdims=True)
+    corners = jnp.stack([o, o + a, o + b, jnp.where(kind == KINDS.index("triangle"), o, o + a + b)])
+    flat = norm(corners - center[None]).max(0)
+    radius = jnp.where(kind < 2, flat, jnp.where(kind < 4, jnp.maximum(norm(a), norm(b)), norm(a / 2) + norm(b)))
+    radius = jnp.where(real[:, None], radius, 0.0)
+    if len(face) > FEW_LIGHTS:
+        middle = jnp.where(real[:, None], center, 0.0).sum(0, keepdims=True) / jnp.maximum(real.sum(), 1)
+        radius = jnp.where(real[:, None], norm(center - middle) + radius, 0.0).max(0, keepdims=True)
+        center = middle
+    return jnp.concatenate([center, radius], -1)
 
 
 def prepare(scene: Scene, plan: Plan) -> World:
@@ -159,7 +190,8 @@ def prepare(scene: Scene, plan: Plan) -> World:
     sg = jax.lax.stop_gradient
     geometry, side, extra = _face_geometry(scene, plan)
     area = sg(face_areas(geometry, scene.blocks))
-    center, radius, reach = _bounds(scene, sg(geometry))
+    instances = Instances.of(scene) if plan.instances else None
+    center, radius, reach = _bounds(scene, sg(geometry), sg(instances))
     finish = scene.shape_finish[scene.face_shape].astype(geometry.dtype)
 
     # Lights are chosen by power; a share spread evenly keeps lamps at radiance 0 in the derivative.
@@ -206,18 +238,24 @@ def prepare(scene: Scene, plan: Plan) -> World:
         -1,
     )
     epsilon = 8 * 2.0**-23 * jnp.maximum(sg(reach), sg(radius))
-    search = build_search(sg(geometry), sg(maps), scene.counts, scene.blocks, sg(center), epsilon, plan)
+    faces = Faces(sg(geometry), sg(maps), scene.counts, scene.blocks)
+    if instances is not None:
+        instances = instances.about(sg(center))
+        faces = dataclasses.replace(faces, instances=sg(instances), groups=scene.groups, copies=scene.copies)
+    search = build_search(faces, sg(center), epsilon, plan)
     return World(
         geometry=geometry,
         faces=rows,
         finishes=finishes,
         light_rows=light_rows,
         light_cdf=jnp.cumsum(chance),
+        light_bounds=_light_bounds(scene, sg(geometry), real),
         search=search,
         center=sg(center),
         radius=sg(radius),
         epsilon=epsilon,
         present=scene.counts[0] >= 0,
+        instances=instances,
         plan=plan,
         blocks=scene.blocks,
     )
@@ -230,4 +268,4 @@ def world_of(scene: Scene | World, plan: Plan | None = None) -> World:
     return prepare(scene, plan or scene.plan or make_plan(scene))
 
 
-__all__ = ["FACE", "World", "prepare", "world_of"]
+__all__ = ["FACE", "FEW_LIGHTS", "World", "prepare", "world_of"]

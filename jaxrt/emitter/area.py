@@ -20,7 +20,7 @@ from ..sampling import warp
 from ..sampling.sobol import Drawn, Stream
 from ..surface import SurfacePoint, _row, _vec
 from ..vector import Frame, Spectrum, Vec3, cross, dot, normalise, safe_sqrt, where
-from ..world import FACE, World
+from ..world import FACE, FEW_LIGHTS, World
 from . import spherical
 
 
@@ -41,7 +41,7 @@ def _choose(world: World, u: Any) -> tuple[Any, Any]:
     cdf = world.light_cdf
     total = cdf[-1]
     n = cdf.shape[0]
-    if n <= 16:
+    if n <= FEW_LIGHTS:
         k = sum((u * total >= cdf[j]).astype(jnp.int32) for j in range(n - 1))
     else:
         k = jnp.searchsorted(cdf, u * total, side="right", method="scan").astype(jnp.int32)
@@ -144,6 +144,17 @@ def sample(world: World, x: Vec3, s: Stream | Drawn, pair: int) -> LightSample:
     return LightSample(w, distance, radiance, jnp.where(lit, pdf, 0.0), face, jacobian, hidden)
 
 
+def may_meet(world: World, o: Vec3, w: Vec3) -> Any:
+    """Whether a ray from o along ω comes near enough to a light that it may meet it."""
+    near = jnp.zeros_like(o.x, dtype=bool)
+    for k in range(world.light_bounds.shape[0]):
+        to, radius = _vec(world.light_bounds[k], 0) - o, world.light_bounds[k, 3]
+        along, d2 = dot(to, w), dot(to, to)
+        reach = radius * radius * 1.001 + d2 * 1e-5  # and what rounding adds
+        near = near | ((d2 - along * along <= reach) & ((along > 0) | (d2 <= reach)))
+    return near
+
+
 def density(world: World, x: Vec3, y: SurfacePoint, w: Vec3) -> Any:
     """Density (sr⁻¹) with which `sample` at x takes the direction ω in which y was met."""
     x, y, w = jax.lax.stop_gradient((x, y, w))
@@ -170,4 +181,4 @@ def density(world: World, x: Vec3, y: SurfacePoint, w: Vec3) -> Any:
     return jnp.where(hit, pdf, 0.0)
 
 
-__all__ = ["LightSample", "density", "sample"]
+__all__ = ["LightSample", "density", "may_meet", "sample"]

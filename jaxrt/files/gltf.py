@@ -20,9 +20,25 @@ from urllib.parse import unquote
 
 import numpy as np
 
-from ..parts import Bsdf, Conductor, Description, Diffuse, Film, Mesh, SceneError, Sensor, TwoSided, matrix
+from ..parts import (
+    Bsdf,
+    Conductor,
+    Description,
+    Diffuse,
+    Film,
+    Group,
+    Instance,
+    Mesh,
+    SceneError,
+    Sensor,
+    TwoSided,
+    matrix,
+)
 from .mesh import fail, listed, read_bytes
 from .textures import mean_colour
+
+SHARED = 4096
+"""Triangles that sharing a mesh has to save before its nodes become instances, whose hits cost a little more."""
 
 _KNOWN = {"KHR_materials_emissive_strength", "KHR_mesh_quantization"}
 _NOTED = {"KHR_lights_punctual", "KHR_texture_transform", "KHR_texture_basisu", "EXT_texture_webp", "KHR_xmp_json_ld"}
@@ -189,7 +205,8 @@ def load_gltf(path: str | Path) -> Description:
 
 
 def _load(file: _File) -> Description:
-    shapes: list[Mesh] = []
+    shapes: list[Mesh | Instance] = []
+    places: dict[int, list[tuple[str, np.ndarray]]] = {}
     sensors: list[Sensor] = []
     meshes: dict[int, list[tuple[str, Mesh]]] = {}
     materials = _Materials(file)
@@ -207,16 +224,12 @@ def _load(file: _File) -> Description:
             index = file.integer(node, "mesh", where=f"nodes[{number}].")
             if index not in meshes:
                 meshes[index] = list(_primitives(file, index, materials))
-            for suffix, mesh in meshes[index]:
-                placed = copy.copy(mesh)  # shares the arrays
-                placed.id, placed.to_world = file.name(node, mesh.id) + suffix, matrix(to_world, f"nodes[{number}]")
-                if np.linalg.det(to_world[:3, :3]) < 0:
-                    file.spend(3 * len(mesh.faces))
-                    placed = _unmirrored(placed)
-                shapes.append(placed)
+            places.setdefault(index, []).append((file.name(node, ""), matrix(to_world, f"nodes[{number}]")))
         if "camera" in node:
             index = file.integer(node, "camera", where=f"nodes[{number}].")
             sensors.append(_sensor(file, index, name, to_world))
+    for index, where in places.items():
+        shapes += _placed(file, [(mesh, suffix) for suffix, mesh in meshes[index]], where)
     used = {str(e) for e in file.table(file.json, "extensionsUsed")} - _KNOWN - {"KHR_lights_punctual"}
     for what, names in (
         ("KHR_lights_punctual is not supported yet; left out the lights of", lights),
@@ -230,6 +243,27 @@ def _load(file: _File) -> Description:
     if not shapes:
         file.fail("has no triangle meshes in its scene; jaxrt needs surfaces")
     return Description(shapes, sensors, notes=list(dict.fromkeys(file.notes)))
+
+
+def _placed(
+    file: _File, meshes: list[tuple[Mesh, str]], where: list[tuple[str, np.ndarray]]
+) -> Iterator[Mesh | Instance]:
+    """A mesh's parts at each of its nodes: as instances of one group where that saves much, else each for itself."""
+    if (len(where) - 1) * sum(len(mesh.faces) for mesh, _ in meshes) >= SHARED and all(
+        mesh.emission is None for mesh, _ in meshes
+    ):
+        group = Group(shapes=[dataclasses.replace(mesh, id=mesh.id + suffix) for mesh, suffix in meshes])
+        for name, to_world in where:
+            yield Instance(id=name or meshes[0][0].id, group=group, to_world=to_world)
+        return
+    for name, to_world in where:
+        for mesh, suffix in meshes:
+            placed = copy.copy(mesh)  # shares the arrays
+            placed.id, placed.to_world = (name or mesh.id) + suffix, to_world
+            if np.linalg.det(to_world[:3, :3]) < 0:
+                file.spend(3 * len(mesh.faces))
+                placed = _unmirrored(placed)
+            yield placed
 
 
 def _nodes(file: _File) -> Iterator[tuple[int, dict[str, Any], np.ndarray]]:

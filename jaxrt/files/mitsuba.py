@@ -38,7 +38,8 @@ def _describe(document: Document) -> parts.Description:
     objects: dict[str, list[Element]] = {
         tag: list(dict.fromkeys(ctx.children(root, tag))) for tag in sorted(OBJECTS | {"spectrum"})
     }
-    shapes = [shape(ctx, element, f"shape_{i}") for i, element in enumerate(objects["shape"])]
+    made = [shape(ctx, element, f"shape_{i}") for i, element in enumerate(objects["shape"])]
+    shapes = [s for s in made if not isinstance(s, parts.Group)]  # a group alone is not in the scene
     if not shapes:
         root.fail("has no shapes; add a <shape>")
     sensors = _sensors(ctx, objects["sensor"])

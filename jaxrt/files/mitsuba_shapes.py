@@ -12,10 +12,14 @@ from .mitsuba_materials import area_emission, bsdf
 from .mitsuba_xml import Element
 
 
-def shape(ctx: Context, element: Element, place: str) -> parts.Shape:
+def shape(ctx: Context, element: Element, place: str) -> parts.Shape | parts.Group | parts.Instance:
     """The part of a <shape>. `place`: its name if it has no id."""
+    if element.plugin == "shapegroup":
+        return ctx.once(element, lambda: _group(ctx, element, place))
+    if element.plugin == "instance":
+        return _instance(ctx, element, place)
     if element.plugin not in _SHAPES:
-        element.fail(f"is not supported; use {', '.join(_SHAPES)}")
+        element.fail(f"is not supported; use {', '.join(_SHAPES)}, shapegroup or instance")
     name = ctx.name(element, place)
     emitter, reflector = ctx.child(element, "emitter"), ctx.child(element, "bsdf")
     emission, emission_id = area_emission(ctx, emitter, f"{name}.emitter") if emitter else (None, "")
@@ -34,6 +38,24 @@ def shape(ctx: Context, element: Element, place: str) -> parts.Shape:
     fields |= more(ctx, element, fields) if more else {}
     ctx.finish(element, {"silhouette_sampling_weight": "is a matter of sampling, and has no effect here"})
     return ctx.part(element, make, **fields)
+
+
+def _group(ctx: Context, element: Element, place: str) -> parts.Group:
+    name = ctx.name(element, place)
+    members = [shape(ctx, member, f"{name}.shape_{k}") for k, member in enumerate(ctx.children(element, "shape"))]
+    if any(isinstance(member, (parts.Group, parts.Instance)) for member in members):
+        element.fail("holds a group or an instance; put the shapes themselves there")
+    ctx.finish(element)
+    return ctx.part(element, parts.Group, id=name, shapes=members)
+
+
+def _instance(ctx: Context, element: Element, place: str) -> parts.Instance:
+    name, group = ctx.name(element, place), ctx.child(element, "shape")
+    if group is None or group.plugin != "shapegroup":
+        element.fail("refers to no shapegroup; give it one by <ref>")
+    made, to_world = shape(ctx, group, f"{name}.group"), ctx.transform(element)
+    ctx.finish(element)
+    return ctx.part(element, parts.Instance, id=name, group=made, to_world=to_world)
 
 
 def _flat(ctx: Context, element: Element, fields: dict[str, Any]) -> dict[str, Any]:

@@ -15,6 +15,7 @@ from ..parts import (
     Disk,
     Enclosure,
     Film,
+    Instance,
     Mesh,
     Rectangle,
     SceneError,
@@ -63,7 +64,7 @@ def complete(description: Description, *, light: bool = True, orient: bool = Fal
             raise SceneError("the scene is too large to look at; give it a smaller scale")
         sensors = [default_view(points)]
         notes.append(f"no camera: added a view from the front right, {FOV:g} degrees, +y up")
-    lit = any(s.emission is not None and np.any(s.emission > 0) for s in shapes)
+    lit = any(isinstance(s, Shape) and s.emission is not None and np.any(s.emission > 0) for s in shapes)
     if not (lit or (enclosure is not None and np.any(enclosure.radiance > 0))):
         if light:
             enclosure = Enclosure(RADIANCE, id=enclosure.id if enclosure else "")
@@ -77,8 +78,10 @@ def complete(description: Description, *, light: bool = True, orient: bool = Fal
     return dataclasses.replace(description, shapes=shapes, sensors=sensors, enclosure=enclosure, notes=notes)
 
 
-def world_points(shape: Shape) -> np.ndarray:
+def world_points(shape: Shape | Instance) -> np.ndarray:
     """Points (N, 3) in the world whose convex hull holds the shape; of a mesh the vertices that faces use."""
+    if isinstance(shape, Instance):
+        return np.concatenate([world_points(s) for s in shape.written_out()])
     unit = lambda *z: np.array(list(itertools.product((-1.0, 1.0), (-1.0, 1.0), z)))
     if isinstance(shape, Mesh):
         local = shape.vertices[np.unique(shape.faces)]
@@ -133,13 +136,12 @@ def softbox(sensor: Sensor, points: np.ndarray) -> Rectangle | None:
     )
 
 
-def _both_sides(shapes: list[Shape]) -> tuple[list[Shape], list[str]]:
+def _both_sides(shapes: list[Shape | Instance]) -> tuple[list[Shape | Instance], list[str]]:
     """The shapes with a `TwoSided` BSDF on each mesh that is not closed and wound outwards, and their names."""
     made: dict[int, TwoSided] = {}
     out, turned = [], []
     for shape in shapes:
-        bsdf = shape.bsdf
-        if isinstance(shape, Mesh) and not isinstance(bsdf, TwoSided) and not closed_outwards(shape):
+        if isinstance(shape, Mesh) and not isinstance(bsdf := shape.bsdf, TwoSided) and not closed_outwards(shape):
             shape = copy.copy(shape)  # shares the arrays
             shape.bsdf = made.setdefault(id(bsdf), TwoSided(bsdf))  # one BSDF for all meshes that share one
             turned.append(shape.id or "mesh")

@@ -9,11 +9,14 @@ from __future__ import annotations
 
 from typing import Any, Protocol
 
+import equinox as eqx
 import jax
 
+from ..instances import Instances
 from ..vector import Vec3
 from . import embree
 from .bvh import Bvh
+from .copies import WrittenOut
 from .dense import Dense, affine
 
 FEW = 128
@@ -54,14 +57,29 @@ def choose(faces: int) -> tuple[str, str]:
     return ("embree", f"{faces} faces") if why is None else ("bvh", f"{faces} faces; embree would be faster, but {why}")
 
 
-def build_search(
-    geometry: Any, maps: Any, counts: Any, blocks: tuple[int, ...], center: Any, epsilon: Any, plan: Any
-) -> Search:
-    """The search structure of a plan's backend over faces (origin, e₁, e₂) and their affine maps about `center`.
+class Faces(eqx.Module):
+    """What is searched: faces (origin, e₁, e₂) by kind in `blocks`, their affine maps, instances of groups of them."""
+
+    geometry: Any
+    maps: Any
+    counts: Any
+    blocks: tuple[int, ...] = eqx.field(static=True)
+    instances: Instances | None = None
+    groups: Any = None
+    copies: int = eqx.field(static=True, default=0)
+
+
+def build_search(faces: Faces, center: Any, epsilon: Any, plan: Any) -> Search:
+    """The search structure of a plan's backend over faces about `center`.
 
     `epsilon`: how far rounding may move a surface point, m.
     """
-    return BACKENDS[plan.backend].build(geometry, maps, counts, blocks, center, epsilon)
+    build, arrays = BACKENDS[plan.backend].build, (faces.geometry, faces.maps, faces.counts, faces.blocks)
+    if faces.instances is None:
+        return build(*arrays, center, epsilon)
+    if plan.backend == "embree":
+        return embree.Embree.build(*arrays, center, epsilon, (faces.instances, faces.groups))
+    return WrittenOut.build(build, arrays, faces.instances, faces.copies, center, epsilon)
 
 
-__all__ = ["BACKENDS", "Search", "affine", "build_search", "choose", "refusal"]
+__all__ = ["BACKENDS", "Faces", "Search", "affine", "build_search", "choose", "refusal"]

@@ -20,12 +20,12 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.custom_batching import custom_vmap
 from jax.lax import bitcast_convert_type, dynamic_slice, dynamic_update_slice
 from jaxtyping import Array, Float, Int32
 
 from ..compiler import one_function
 from ..vector import Vec3
+from .batch import in_a_row
 from .dense import Dense, allowed, flat_columns, flat_crossing, several
 
 WIDTH = 16  # children of a node: one vector of 512 bits
@@ -154,7 +154,7 @@ class Bvh(eqx.Module):
 
 @functools.cache
 def _rays(first: bool) -> Any:
-    """`_ray` over n rays, one after the other. Every `vmap` adds to n, unless it is over trees."""
+    """`_ray` over n rays, one after the other."""
 
     def each(tree: Tree, rays: Any) -> Any:
         n = len(rays[0][0])
@@ -165,20 +165,7 @@ def _rays(first: bool) -> Any:
 
         return jax.lax.fori_loop(0, n, step, jnp.full(n, -1, jnp.int32))
 
-    @custom_vmap
-    def rays(tree: Tree, rays: Any) -> Any:
-        return one_function(each)(tree, rays)
-
-    @rays.def_vmap
-    def rule(size: int, batched: Any, tree: Tree, many: Any) -> Any:
-        many = jax.tree.map(lambda c, b: c if b else jnp.broadcast_to(c, (size, *c.shape)), many, batched[1])
-        if any(jax.tree.leaves(batched[0])):
-            trees = jax.tree.map(lambda c, b: c if b else jnp.broadcast_to(c, (size, *c.shape)), tree, batched[0])
-            return jax.lax.map(lambda x: rays(*x), (trees, many)), True
-        found = rays(tree, jax.tree.map(jnp.ravel, many))
-        return found.reshape(size, -1), True
-
-    return rays
+    return in_a_row(one_function(each))
 
 
 def _least(x: Any) -> Any:

@@ -23,13 +23,15 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, UInt32
 
+from ..instances import Instances
 from ..vector import Vec3
+from .batch import in_a_row
 from .dense import Dense, affine, flat_columns, several
 
 ROBUST, FILTERED = 4, 8  # RTC_SCENE_FLAG_ROBUST and _FILTER_FUNCTION_IN_ARGUMENTS
-TRIANGLES, QUADS = 0, 1  # RTC_GEOMETRY_TYPE_TRIANGLE and _QUAD
+TRIANGLE, INSTANCE = 0, 121  # RTC_GEOMETRY_TYPE_*
 INDEX, VERTEX = 0, 1  # RTC_BUFFER_TYPE_INDEX and _VERTEX
-UINT3, UINT4, FLOAT3 = 0x5003, 0x5004, 0x9003  # RTC_FORMAT_*
+UINT3, FLOAT3, FLOAT3X4 = 0x5003, 0x9003, 0x9134  # RTC_FORMAT_*, matrices by rows
 FACE_BYTES = 250  # Embree's own share of a face, about
 BUDGET = 1 << 30  # bytes that scenes may take together; the two last ones stay in any case
 GRACE = 30.0  # seconds after which nothing can still be tracing a scene that was let go
@@ -45,46 +47,70 @@ class Embree(eqx.Module):
     least: Float[Array, ""]
 
     @classmethod
-    def build(cls, geometry: Any, maps: Any, counts: Any, blocks: tuple[int, ...], center: Any, epsilon: Any) -> Embree:
-        """As `Dense.build`; builds Embree's scene in a callback, so it works under jit, grad and vmap."""
+    def build(
+        cls,
+        geometry: Any,
+        maps: Any,
+        counts: Any,
+        blocks: tuple[int, ...],
+        center: Any,
+        epsilon: Any,
+        copies: tuple[Instances, Any] | None = None,
+    ) -> Embree:
+        """As `Dense.build`; builds Embree's scene in a callback, so it works under jit, grad and vmap.
+
+        `copies`: instances, about the centre, and their groups, in which faces reach out by the same in the world.
+        """
         o, a, b = geometry[:, :3] - center[None], geometry[:, 3:6], geometry[:, 6:9]
-        s = flat_columns(maps, epsilon)[:, 12:]
+        reach = epsilon if copies is None else epsilon / copies[0].smallest_scale(copies[1])
+        s = flat_columns(maps, reach)[:, 12:]
         at = lambda f, g: o + a * f + b * g
         t, q = slice(0, blocks[0]), slice(blocks[0], sum(blocks[:2]))
         triangles = jnp.stack([at(-s, -s), at(1 + 2 * s, -s), at(-s, 1 + 2 * s)], 1)[t]
         quads = jnp.stack([at(-s, -s), at(1 + s, -s), at(1 + s, 1 + s), at(-s, 1 + s)], 1)[q]
         shape = jax.ShapeDtypeStruct((2,), jnp.uint32)
         rest = Dense.build(geometry, maps, counts, blocks, center, epsilon, first_kind=2)
-        arrays = (triangles.astype(jnp.float32), quads.astype(jnp.float32), counts[:2])
+        arrays = [triangles.astype(jnp.float32), quads.astype(jnp.float32), counts[:2], jnp.int32(sum(blocks))]
+        if copies is not None:
+            instances, _ = copies
+            arrays += [instances.first, instances.counts, instances.to_world[:-1].astype(jnp.float32)]
         token = jax.pure_callback(_token, shape, *jax.lax.stop_gradient(arrays), vmap_method="sequential")
         return cls(token, rest, center, -0.5 * epsilon)
 
     def closest(self, o: Vec3, d: Vec3, exclude: Any = None) -> Any:
         """Number of the first face along the ray, −1 if none. `exclude`: faces to skip, one or several numbers."""
-        far = jnp.full_like(d.x, jnp.inf)
-        kinds = (jax.ShapeDtypeStruct((), jnp.float32), jax.ShapeDtypeStruct((), jnp.int32))
-        t, face = self._call("jaxrt_embree_closest", kinds, o, d, far, exclude)
+        t, face = self._search("closest", o, d, jnp.full_like(d.x, jnp.inf), exclude)
         if sum(self.rest.blocks[2:]) == 0:
             return face
         return self.rest.closest(o, d, exclude, (jnp.where(face < 0, jnp.inf, t + self.least), face))
 
     def occluded(self, o: Vec3, d: Vec3, distance: Any, exclude: Any = None) -> Any:
         """Whether any face but the excluded ones lies before `distance` (m)."""
-        kind = (jax.ShapeDtypeStruct((), jnp.int32),)
         distance = jax.lax.stop_gradient(distance)
         far = jnp.where(distance > 0, distance - self.least, 0.0)
-        found = self._call("jaxrt_embree_occluded", kind, o, d, far, exclude)[0] != 0
+        found = self._search("occluded", o, d, far, exclude)[0] != 0
         if sum(self.rest.blocks[2:]) == 0:
             return found
         return found | self.rest.occluded(o, d, distance, exclude)
 
-    def _call(self, target: str, results: Any, o: Vec3, d: Vec3, far: Any, exclude: Any) -> Any:
+    def _search(self, query: str, o: Vec3, d: Vec3, far: Any, exclude: Any) -> Any:
         start()
-        o, d, far = jax.lax.stop_gradient((o, d, far))
         o = o - Vec3(*self.center) + d * self.least  # Embree counts distances from 0, we from `least`
-        numbers = [jnp.asarray(c, jnp.float32) for c in (*o, *d, far)]
-        faces = [jnp.asarray(e, jnp.int32) for e in several(exclude)]
-        return jax.ffi.ffi_call(target, results, vmap_method="broadcast_all")(self.token, *numbers, *faces)
+        rays = [jnp.asarray(c, jnp.float32).reshape(1) for c in (*o, *d, far)]
+        rays += [jnp.asarray(e, jnp.int32).reshape(1) for e in several(exclude)]
+        return [a[0] for a in _queries(query)(*jax.lax.stop_gradient((self.token, rays)))]
+
+
+@functools.cache
+def _queries(query: str) -> Any:
+    """The XLA call of one query, of n rays: whether any face is met, or distance and number of the first one."""
+    kinds = {"closest": (jnp.float32, jnp.int32), "occluded": (jnp.int32,)}[query]
+
+    def call(token: Any, rays: Any) -> Any:
+        results = [jax.ShapeDtypeStruct(rays[0].shape, kind) for kind in kinds]
+        return jax.ffi.ffi_call(f"jaxrt_embree_{query}", results)(token, *rays)
+
+    return in_a_row(call)
 
 
 # ------------------------------------------------------------------------------------------ the library
@@ -105,6 +131,8 @@ def _library() -> Any:
         ("rtcSetSceneFlags", None, pointer, number),
         ("rtcNewGeometry", pointer, pointer, number),
         ("rtcSetNewGeometryBuffer", pointer, pointer, number, word, number, size, size),
+        ("rtcSetGeometryInstancedScene", None, pointer, pointer),
+        ("rtcSetGeometryTransform", None, pointer, word, number, pointer),
         ("rtcCommitGeometry", None, pointer),
         ("rtcAttachGeometryByID", None, pointer, pointer, word),
         ("rtcReleaseGeometry", None, pointer),
@@ -171,17 +199,24 @@ _leaving: list[_Kept] = []
 _lock = threading.Lock()
 
 
-def _token(triangles: Any, quads: Any, counts: Any) -> np.ndarray:
-    """The address of the record of a scene with these corners, (T, 3, 3) and (Q, 4, 3), of which `counts` are used."""
+def _token(triangles: Any, quads: Any, counts: Any, rows: Any, *copies: Any) -> np.ndarray:
+    """The address of the record of a scene with these corners, (T, 3, 3) and (Q, 4, 3), of which `counts` are used.
+
+    `rows`: of the tables, behind which the numbers of instances start. `copies`: the first triangle of each
+    instance, how many it has, and its matrix.
+    """
     triangles, quads, counts = np.asarray(triangles), np.asarray(quads), np.asarray(counts)
+    first, sizes, places = map(np.asarray, copies or (np.zeros(0, int), np.zeros(0, int), np.zeros((0, 12))))
+    groups = [np.ascontiguousarray(triangles[a : a + n]) for a, n in sorted(set(zip(first, sizes, strict=True))) if n]
     used = [np.ascontiguousarray(a[:n]) for a, n in zip((triangles, quads), counts, strict=True)]
-    content = hashlib.blake2b(np.asarray([len(triangles), *counts], np.int64).tobytes(), digest_size=16)
-    for a in used:
+    content = hashlib.blake2b(np.asarray([len(triangles), int(rows), *counts], np.int64).tobytes(), digest_size=16)
+    for a in (*used, *groups, *map(np.ascontiguousarray, (first, sizes, places))):
         content.update(a.data)
     with _lock:
         kept = _scenes.get(content.digest())
         if kept is None:
-            kept = _scenes[content.digest()] = _build(used[0], used[1], len(triangles))
+            kept = _build(used[0], used[1], len(triangles), int(rows), groups, first, sizes, places)
+            _scenes[content.digest()] = kept
             _let_go()
         _scenes.move_to_end(content.digest())
     return np.array([kept.record.ctypes.data], np.int64).view(np.uint32)
@@ -189,47 +224,86 @@ def _token(triangles: Any, quads: Any, counts: Any) -> np.ndarray:
 
 def _let_go() -> None:
     """Least recently used scenes go while all take more than the budget; their memory a little later."""
+    from .embree_handler import ALIVE
+
     while len(_scenes) > 2 and sum(k.bytes for k in _scenes.values()) > BUDGET:
         kept = _scenes.popitem(last=False)[1]
-        kept.record[5], kept.let_go = 0, time.monotonic()
+        kept.record[ALIVE], kept.let_go = 0, time.monotonic()
         _leaving.append(kept)
     for kept in [k for k in _leaving if time.monotonic() - k.let_go > GRACE]:
         _library().rtcReleaseScene(kept.scene)
         _leaving.remove(kept)
 
 
-def _build(triangles: np.ndarray, quads: np.ndarray, first_quad: int) -> _Kept:
-    from .embree_handler import RECORD, keep
-
+def _mesh(scene: int, corners: np.ndarray) -> None:
+    """Adds triangles (n, 3, 3) to a scene, as its first geometry."""
     library = _library()
-    scene = library.rtcNewScene(_device())
-    library.rtcSetSceneFlags(scene, ROBUST | FILTERED)
-    for number, (kind, corners, corner) in enumerate(((TRIANGLES, triangles, UINT3), (QUADS, quads, UINT4))):
-        n, k = corners.shape[:2]
-        if n == 0:
-            continue
-        geometry = library.rtcNewGeometry(_device(), kind)
-        numbers = np.arange(n * k, dtype=np.uint32)
-        buffers = ((VERTEX, FLOAT3, 12, n * k, corners), (INDEX, corner, 4 * k, n, numbers))
-        for use, form, size, count, values in buffers:
-            place = library.rtcSetNewGeometryBuffer(geometry, use, 0, form, size, count)
-            ctypes.memmove(place, values.ctypes.data, values.nbytes)
-        library.rtcCommitGeometry(geometry)
-        library.rtcAttachGeometryByID(scene, geometry, number)
-        library.rtcReleaseGeometry(geometry)
+    geometry = library.rtcNewGeometry(_device(), TRIANGLE)
+    numbers = np.arange(3 * len(corners), dtype=np.uint32)
+    for use, form, values in ((VERTEX, FLOAT3, corners), (INDEX, UINT3, numbers)):
+        place = library.rtcSetNewGeometryBuffer(geometry, use, 0, form, 12, values.nbytes // 12)
+        ctypes.memmove(place, values.ctypes.data, values.nbytes)
+    _attach(scene, geometry, 0)
+
+
+def _attach(scene: int, geometry: int, number: int) -> None:
+    library = _library()
+    library.rtcCommitGeometry(geometry)
+    library.rtcAttachGeometryByID(scene, geometry, number)
+    library.rtcReleaseGeometry(geometry)
+
+
+def _scene() -> int:
+    scene = _library().rtcNewScene(_device())
+    _library().rtcSetSceneFlags(scene, ROBUST | FILTERED)
+    return scene
+
+
+def _build(
+    triangles: np.ndarray,
+    quads: np.ndarray,
+    first_quad: int,
+    rows: int,
+    groups: list[np.ndarray],
+    first: np.ndarray,
+    sizes: np.ndarray,
+    places: np.ndarray,
+) -> _Kept:
+    """Quads go in as two triangles each: a second kind of geometry would be a second search for every ray."""
+    from .embree_handler import PACKET, RECORD, keep
+
+    library, count = _library(), len(triangles)
+    triangles = np.concatenate([triangles, quads[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 3, 3)])
+    scene = _scene()
+    _mesh(scene, triangles)
+    inner = {}
+    for key, corners in zip([k for k in sorted(set(zip(first, sizes, strict=True))) if k[1]], groups, strict=True):
+        inner[key] = _scene()
+        _mesh(inner[key], corners)
+        library.rtcCommitScene(inner[key])
+    for k, key in enumerate(zip(first, sizes, strict=True)):
+        if key in inner:
+            geometry = library.rtcNewGeometry(_device(), INSTANCE)
+            library.rtcSetGeometryInstancedScene(geometry, inner[key])
+            library.rtcSetGeometryTransform(geometry, 0, FLOAT3X4, np.ascontiguousarray(places[k]).ctypes.data)
+            _attach(scene, geometry, k + 1)
     library.rtcCommitScene(scene)
-    record, address = np.zeros(8, np.int64), lambda f: ctypes.cast(f, ctypes.c_void_p).value or 0
+    for group in inner.values():
+        library.rtcReleaseScene(group)  # the instances hold it
+    address = lambda f: ctypes.cast(f, ctypes.c_void_p).value or 0
     message = ctypes.create_string_buffer(GONE)
+    starts = rows + np.cumsum(np.concatenate([[0], sizes])).astype(np.int64)
     words = {
         "scene": scene,
-        "intersect": address(library.rtcIntersect16),
-        "occluded": address(library.rtcOccluded16),
+        "closest": address(getattr(library, f"rtcIntersect{PACKET}")),
+        "occluded": address(getattr(library, f"rtcOccluded{PACKET}")),
         "filter": keep.address,
+        "triangles": count,
         "first_quad": first_quad,
+        "instances": starts.ctypes.data,
         "alive": 1,
         "message": ctypes.addressof(message),
     }
-    for name, word in words.items():
-        record[RECORD[name]] = word
-    _records.append((record, message))
-    return _Kept(scene, len(triangles) + len(quads), record)
+    record = np.array([words[name] for name in RECORD], np.int64)
+    _records.append((record, message, starts))
+    return _Kept(scene, len(triangles) + sum(map(len, groups)) + 4 * len(first), record)

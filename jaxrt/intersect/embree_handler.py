@@ -1,7 +1,7 @@
-"""The compiled side of the Embree backend: XLA calls it with a batch of rays, it calls Embree 16 rays at a time.
+"""The compiled side of the Embree backend: XLA calls it with a batch of rays, it calls Embree a packet at a time.
 
 XLA's foreign function interface wants a C function. numba makes one here without a compiler at hand and without
-Python's lock. Scenes come as the address of a record of eight int64 words (`RECORD`), so nothing of one process
+Python's lock. Scenes come as the address of a record of int64 words (`RECORD`), so nothing of one process
 is compiled in, and numba may keep the machine code from run to run.
 """
 
@@ -14,183 +14,186 @@ import numpy as np
 from llvmlite import ir
 from numba.core import types
 from numba.extending import intrinsic
+from numba.np.numpy_support import carray
 
-RECORD = {"scene": 0, "intersect": 1, "occluded": 2, "filter": 3, "first_quad": 4, "alive": 5, "message": 6}
-"""Words of a scene's record: Embree's scene, its functions, our filter, where the quads' numbers start, whether
-the scene still exists, and the text of the error where it does not."""
+RECORD = ("scene", "closest", "occluded", "filter", "triangles", "first_quad", "instances", "alive", "message")
+"""Words of a scene's record: Embree's scene, its functions, our filter, how many of Embree's triangles are
+triangles of ours (the others are halves of quads), the number of our first quad, the table of the first number of
+each instance, whether the scene still exists, and the text of the error where it does not."""
+SCENE, CLOSEST, OCCLUDED, FILTER, TRIANGLES, FIRST_QUAD, INSTANCES, ALIVE, MESSAGE = range(9)
 
-RAY, HIT = 12, 9  # words of a ray and of a hit; a packet holds 16 of each word in turn
-TFAR, ID, FLAGS, PRIMITIVE, GEOMETRY = 8, 10, 11, 17, 18
+PACKET = 8
+"""Rays that Embree takes at once: 131 ns for both queries of a bounce in a room with a mesh of 69k triangles,
+against 195 ns one by one, 143 by four and 156 by sixteen. Sorting them by direction and place gained nothing."""
+
+RAY, HIT = 12, 9  # words of a ray and of a hit; a packet holds `PACKET` of each word in turn
+TFAR, MASK, ID, PRIMITIVE, INSTANCE = 8, 9, 10, 17, 19  # distance, mask, the lane it belongs to, what was met
 FILTER_BY_ARGUMENT = 2  # RTC_RAY_QUERY_FLAG_INVOKE_ARGUMENT_FILTER
-
-
-def _memory(of: Any, type_: Any) -> tuple[Any, Any]:
-    """load(address) and store(address, value) of one type."""
-
-    @intrinsic
-    def load(typing: Any, address: Any) -> Any:
-        def code(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-            return builder.load(builder.inttoptr(args[0], of.as_pointer()))
-
-        return type_(types.int64), code
-
-    @intrinsic
-    def store(typing: Any, address: Any, value: Any) -> Any:
-        def code(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-            builder.store(args[1], builder.inttoptr(args[0], of.as_pointer()))
-            return context.get_dummy_value()
-
-        return types.void(types.int64, type_), code
-
-    return load, store
-
-
-load_i64, store_i64 = _memory(ir.IntType(64), types.int64)
-load_i32, store_i32 = _memory(ir.IntType(32), types.int32)
-load_f32, store_f32 = _memory(ir.FloatType(), types.float32)
+INTERNAL, FAILED_PRECONDITION = 13, 9  # XLA_FFI_Error_Code
 
 
 @intrinsic
-def call4(typing: Any, f: Any, a: Any, b: Any, c: Any, d: Any) -> Any:
-    """Calls the function at an address with four pointers."""
+def _pointer(typing: Any, address: Any) -> Any:
+    """An address as what `carray` takes."""
 
     def code(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        word = ir.IntType(64)
-        kind = ir.FunctionType(ir.VoidType(), [word] * 4)
-        builder.call(builder.inttoptr(args[0], kind.as_pointer()), args[1:])
-        return context.get_dummy_value()
+        return builder.inttoptr(args[0], ir.IntType(8).as_pointer())
 
-    return types.void(*(types.int64,) * 5), code
+    return types.voidptr(types.int64), code
 
 
-@intrinsic
-def call1(typing: Any, f: Any, a: Any) -> Any:
-    """Calls the function at an address with one pointer; it returns one."""
+def _calls(result: Any, count: int) -> Any:
+    """call(f, ...): calls the function at address f with `count` pointers."""
+    word = ir.IntType(64)
 
-    def code(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        word = ir.IntType(64)
-        return builder.call(builder.inttoptr(args[0], ir.FunctionType(word, [word]).as_pointer()), args[1:])
+    @intrinsic
+    def call(typing: Any, f: Any, arguments: Any) -> Any:
+        def code(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+            kind = ir.FunctionType(word if result is types.int64 else ir.VoidType(), [word] * count)
+            pointers = [builder.extract_value(args[1], j) for j in range(count)]
+            value = builder.call(builder.inttoptr(args[0], kind.as_pointer()), pointers)
+            return value if result is types.int64 else context.get_dummy_value()
 
-    return types.int64(types.int64, types.int64), code
+        return result(types.int64, types.UniTuple(types.int64, count)), code
+
+    return call
+
+
+query, report = _calls(types.void, 4), _calls(types.int64, 1)
+
+
+@numba.njit(nogil=True, cache=True)
+def _words(address: int, count: int) -> Any:
+    return carray(_pointer(address), count, np.int64)  # pyright: ignore[reportCallIssue]
+
+
+@numba.njit(nogil=True, cache=True)
+def _integers(address: int, count: int) -> Any:
+    return carray(_pointer(address), count, np.int32)  # pyright: ignore[reportCallIssue]
+
+
+@numba.njit(nogil=True, cache=True)
+def _floats(address: int, count: int) -> Any:
+    return carray(_pointer(address), count, np.float32)  # pyright: ignore[reportCallIssue]
 
 
 @numba.njit(nogil=True, cache=True)
 def _data(buffers: int, k: int) -> int:
     """Address of the numbers in buffer k of a call."""
-    return load_i64(load_i64(buffers + 8 * k) + 24)
+    return _words(_words(buffers, k + 1)[k], 4)[3]
 
 
 @numba.njit(nogil=True, cache=True)
 def _size(buffers: int, k: int) -> int:
     """How many numbers there are in buffer k."""
-    buffer = load_i64(buffers + 8 * k)
-    rank, dims, size = load_i64(buffer + 32), load_i64(buffer + 40), 1
-    for j in range(rank):
-        size *= load_i64(dims + 8 * j)
+    buffer = _words(_words(buffers, k + 1)[k], 6)
+    size = 1
+    for extent in _words(buffer[5], buffer[4]):
+        size *= extent
     return size
 
 
 @numba.njit(nogil=True, cache=True)
+def _face(record: Any, primitive: int, instance: int) -> int:
+    """Our number of the face to which a triangle of Embree's belongs. Instances are geometries 1, 2, ... of a scene."""
+    if instance > 0:
+        return _words(record[INSTANCES], instance)[instance - 1] + primitive
+    if primitive < record[TRIANGLES]:
+        return primitive
+    return record[FIRST_QUAD] + (primitive - record[TRIANGLES]) // 2
+
+
+@numba.njit(nogil=True, cache=True)
 def _keep(arguments: int) -> None:
-    """Embree's filter: refuses hits on the faces that a ray excludes."""
-    valid, context = load_i64(arguments), load_i64(arguments + 16)
-    ray, hit, n = load_i64(arguments + 24), load_i64(arguments + 32), load_i32(arguments + 40)
-    buffers, excluded, first_quad = load_i64(context + 8), load_i64(context + 16), load_i64(context + 24)
+    """Embree's filter: refuses hits on the faces that a ray excludes. Its context: record, buffers, how many."""
+    given = _words(arguments, 6)
+    n = given[5] & 0xFFFFFFFF
+    valid, lanes, hit = _integers(given[0], n), _integers(given[3] + 4 * ID * n, n), given[4]
+    primitives, instances = _integers(hit + 4 * (PRIMITIVE - RAY) * n, n), _integers(hit + 4 * (INSTANCE - RAY) * n, n)
+    _, record, buffers, excluded = _words(given[2], 4)
     for j in range(n):
-        if load_i32(valid + 4 * j) != 0:
-            lane = load_i32(ray + 4 * (ID * n + j))
-            face = load_i32(hit + 4 * ((PRIMITIVE - RAY) * n + j))
-            if load_i32(hit + 4 * ((GEOMETRY - RAY) * n + j)) == 1:
-                face += first_quad
+        if valid[j] != 0:
+            face = _face(_words(record, len(RECORD)), primitives[j], instances[j])
             for k in range(excluded):
-                if load_i32(_data(buffers, 8 + k) + 4 * lane) == face:
-                    store_i32(valid + 4 * j, np.int32(0))
+                if _integers(_data(buffers, 8 + k), lanes[j] + 1)[lanes[j]] == face:
+                    valid[j] = 0
 
 
 @numba.njit(nogil=True, cache=True)
 def _trace(n: int, buffers: int, excluded: int, results: int, occluded: bool) -> int:
-    """Traces n rays; returns 0, or the record of a scene that is gone."""
-    room = np.empty((RAY + HIT) * 16 + 96, np.int32)
-    start = room.ctypes.data
-    packet = (start + 63) // 64 * 64
-    valid = packet + 64 * (RAY + HIT)
-    words, floats, at = room, room.view(np.float32), (packet - start) // 4
-    mask = (valid - start) // 4
-    context, arguments = np.empty(4, np.int64), np.zeros(8, np.int64)
-    tokens, far = _data(buffers, 0), _data(buffers, 7)
-    ox, oy, oz = _data(buffers, 1), _data(buffers, 2), _data(buffers, 3)
-    dx, dy, dz = _data(buffers, 4), _data(buffers, 5), _data(buffers, 6)
-    found, faces = _data(results, 0), _data(results, 0 if occluded else 1)
-    context[0] = -1
-    context[1], context[2] = buffers, excluded
-    arguments[0] = np.int64(-1) << 32  # all features
+    """Traces n rays; returns 0, or the record of a scene that is gone. Rays that end where they start meet nothing."""
+    token = _words(_data(buffers, 0), 1)[0]
+    record = _words(token, len(RECORD))
+    if record[ALIVE] == 0:
+        return token
+    room = np.zeros(4 * (RAY + HIT + 1) * PACKET + 64, np.uint8)
+    start = (room.ctypes.data + 63) // 64 * 64
+    floats, words = _floats(start, RAY * PACKET), _integers(start, (RAY + HIT + 1) * PACKET)
+    valid = start + 4 * (RAY + HIT) * PACKET
+    ox, oy, oz = _floats(_data(buffers, 1), n), _floats(_data(buffers, 2), n), _floats(_data(buffers, 3), n)
+    dx, dy, dz = _floats(_data(buffers, 4), n), _floats(_data(buffers, 5), n), _floats(_data(buffers, 6), n)
+    far = _floats(_data(buffers, 7), n)
+    distances, faces = _floats(_data(results, 0), n), _integers(_data(results, 0 if occluded else 1), n)
+    context, arguments = np.zeros(4, np.int64), np.zeros(8, np.int64)
+    context[0], context[1], context[2], context[3] = -1, token, buffers, excluded
+    arguments[0], arguments[1] = np.int64(-1) << 32, context.ctypes.data  # all features
     if excluded > 0:
         arguments[0] |= FILTER_BY_ARGUMENT
-    arguments[1] = context.ctypes.data
-    lane = 0
-    while lane < n:
-        record = load_i64(tokens + 8 * lane)
-        if load_i64(record + 40) == 0:
-            return record
-        first, count = lane, 0
-        for j in range(16):
-            words[mask + j] = 0
-        while lane < n and count < 16 and load_i64(tokens + 8 * lane) == record:
-            byte, to = 4 * lane, at + count
-            floats[to], floats[to + 16], floats[to + 32] = load_f32(ox + byte), load_f32(oy + byte), load_f32(oz + byte)
-            floats[to + 64], floats[to + 80], floats[to + 96] = (
-                load_f32(dx + byte),
-                load_f32(dy + byte),
-                load_f32(dz + byte),
-            )
-            floats[to + 16 * 3] = 0.0
-            floats[to + 16 * 7] = 0.0
-            floats[to + 16 * TFAR] = load_f32(far + byte)
-            words[to + 16 * 9] = -1
-            words[to + 16 * ID] = lane
-            words[to + 16 * FLAGS] = 0
-            words[to + 16 * PRIMITIVE] = -1
-            words[to + 16 * GEOMETRY] = -1
-            words[to + 16 * 19] = -1
-            words[mask + count] = -1 if load_f32(far + byte) > 0 else 0
-            lane, count = lane + 1, count + 1
-        first_quad = load_i64(record + 32)
-        context[3] = first_quad
-        arguments[2] = load_i64(record + 24) if excluded > 0 else 0
-        function = load_i64(record + 16) if occluded else load_i64(record + 8)
-        call4(function, valid, load_i64(record), packet, arguments.ctypes.data)  # pyright: ignore[reportCallIssue]
+        arguments[2] = record[FILTER]
+    function, scene = record[OCCLUDED] if occluded else record[CLOSEST], record[SCENE]
+    for j in range(PACKET):
+        words[MASK * PACKET + j] = -1
+    if occluded:
+        faces[:] = 0
+    else:
+        distances[:], faces[:] = np.inf, -1
+    count = 0
+    for lane in range(n):  # a ray of no length is overwritten by the next
+        floats[count], floats[PACKET + count], floats[2 * PACKET + count] = ox[lane], oy[lane], oz[lane]
+        floats[4 * PACKET + count], floats[5 * PACKET + count] = dx[lane], dy[lane]
+        floats[6 * PACKET + count], floats[TFAR * PACKET + count] = dz[lane], far[lane]
+        words[ID * PACKET + count] = lane
+        count += np.int64(far[lane] > 0)
+        if count < PACKET and lane + 1 < n:
+            continue
+        for j in range(PACKET):
+            words[(RAY + HIT) * PACKET + j] = -1 if j < count else 0
+            words[PRIMITIVE * PACKET + j] = words[(PRIMITIVE + 1) * PACKET + j] = -1
+            words[(PRIMITIVE + 2) * PACKET + j] = -1
+        query(function, (valid, scene, start, arguments.ctypes.data))
         for j in range(count):
-            t = floats[at + 16 * TFAR + j]
+            at = words[ID * PACKET + j]
             if occluded:
-                store_i32(found + 4 * (first + j), np.int32(t < 0))
+                faces[at] = floats[TFAR * PACKET + j] < 0
             else:
-                face = words[at + 16 * PRIMITIVE + j]
-                if words[at + 16 * GEOMETRY + j] == 1:
-                    face += first_quad
-                store_f32(found + 4 * (first + j), t)
-                store_i32(faces + 4 * (first + j), np.int32(face))
+                primitive = words[PRIMITIVE * PACKET + j]
+                if primitive >= 0:
+                    distances[at], faces[at] = (
+                        floats[TFAR * PACKET + j],
+                        _face(record, primitive, words[INSTANCE * PACKET + j]),
+                    )
+        count = 0
     return 0
 
 
 @numba.njit(nogil=True, cache=True)
 def _handle(frame: int, occluded: bool) -> int:
     """One call by XLA; `frame` is its XLA_FFI_CallFrame (xla/ffi/api/c_api.h)."""
-    extension = load_i64(frame + 8)
-    if extension != 0 and load_i32(extension + 8) == 1:  # it asks which version and traits we have
-        metadata = load_i64(extension + 24)
-        store_i32(metadata + 24, np.int32(0))
-        store_i32(metadata + 28, np.int32(3))
-        store_i32(metadata + 32, np.int32(0))
+    call = _words(frame, 15)
+    extension = call[1]
+    if extension != 0 and _integers(extension + 8, 1)[0] == 1:  # it asks which version and traits we have
+        metadata = _integers(_words(extension + 24, 1)[0] + 24, 3)
+        metadata[0], metadata[1], metadata[2] = 0, 3, 0
         return 0
-    if load_i32(frame + 32) != 3:  # only the stage in which programs run
+    if _integers(frame + 32, 1)[0] != 3:  # only the stage in which programs run
         return 0
-    operands, buffers, results = load_i64(frame + 56), load_i64(frame + 72), load_i64(frame + 112)
+    operands, buffers, results = call[7], call[9], call[14]
     gone = _trace(_size(results, 0), buffers, operands - 8, results, occluded)
     if gone == 0:
         return 0
     error = np.zeros(4, np.int64)
-    error[0], error[2], error[3] = 32, load_i64(gone + 48), 9  # FAILED_PRECONDITION
-    return call1(load_i64(load_i64(frame + 16) + 48), error.ctypes.data)  # pyright: ignore[reportCallIssue]
+    error[0], error[2], error[3] = 32, _words(gone, len(RECORD))[MESSAGE], FAILED_PRECONDITION
+    return report(_words(call[2], 7)[6], (error.ctypes.data,))
 
 
 @numba.cfunc(types.int64(types.int64), cache=True)

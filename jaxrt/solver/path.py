@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import functools
 from dataclasses import replace
-from typing import Any
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
@@ -17,7 +17,6 @@ import numpy as np
 from jax.lax import stop_gradient as sg
 
 from .. import emitter
-from ..casting import cast
 from ..compiler import one_function
 from ..gradient import material
 from ..rules import balance, light_node, reflected, reflection_density, reflection_node
@@ -25,7 +24,7 @@ from ..sampling.sobol import Drawn, Stream, combine
 from ..sampling.warp import cosine_hemisphere
 from ..scene import SensorStructure
 from ..sensor import camera, film
-from ..surface import SurfacePoint, leave, radiance_of, shading_at
+from ..surface import Shading, SurfacePoint, leave, radiance_of, shading_at, surface_point
 from ..vector import Frame, Spectrum, Vec3, dot, normalise, where
 from ..world import World
 
@@ -83,11 +82,45 @@ def hidden(world: World, o: Vec3, light: emitter.LightSample, asked: Any) -> Any
     return light.hidden | world.search.occluded(o, light.w, distance, light.face)
 
 
+def _part(world: World, state: PathState) -> Any:
+    """What is done to the parts of a pass between two searches: XLA takes no search but the dense one into a function.
+
+    The bunny in a room: 3.5 s with every kernel queued, 2.9 s with three functions and two searches in turn.
+    """
+    apart = world.plan.backend != "dense" and world.plan.bounces and state.before is None
+    return one_function if apart else lambda f: f
+
+
 def bounce(world: World, depths: Depths, state: PathState, s: Stream) -> PathState:
     """One step of a path: land, collect emission and direct light, reflect."""
+    part = _part(world, state)
+    face = world.settle(world.search.closest(state.o, state.d))  # ψ: where the ray lands
+    landing = part(_land)(world, depths, state, s, face)
+    blocked = None
+    if landing.light is not None:
+        blocked = hidden(world, landing.origin, landing.light, landing.asked)
+    return part(_reflect)(world, depths, state, landing, blocked)
+
+
+class Landing(eqx.Module):
+    """A path at a surface, before it is known whether its light sample is hidden."""
+
+    x: SurfacePoint
+    s: Any
+    passed: Any  # whether the camera's ray goes on through a hidden emitter
+    alive: Any
+    radiance: Spectrum  # with the emission met here
+    at: Shading | None = None
+    origin: Vec3 | None = None  # of the ray to the light sample
+    light: emitter.LightSample | None = None
+    asked: Any = None  # whether the sample may carry radiance
+    lit: Spectrum | None = None  # what it adds unless it is hidden
+
+
+def _land(world: World, depths: Depths, state: PathState, s: Stream, face: Any) -> Landing:
+    """The point on a face where the path lands; emission met there, and a light sample."""
     plan = world.plan
-    # ψ: where the ray lands.
-    x = cast(world, state.o, state.d)
+    x = surface_point(world, face, state.o, state.d)
     used = (x.position, x.normal, x.shading, x.tangent, x.distance, x.finish, x.light_density)
     (p, n, ns, tangent, t, finish, density), s = world.settle((used, Drawn.of(s, BOUNCE_PAIRS)))
     x = replace(x, position=p, normal=n, shading=ns, tangent=tangent, distance=t, finish=finish, light_density=density)
@@ -105,19 +138,31 @@ def bounce(world: World, depths: Depths, state: PathState, s: Stream) -> PathSta
     if state.before is not None and state.slopes is not None and plan.lights:
         met = met * material.met(world, state.before, x, state.slopes, seen & ~state.delta & (x.light_density > 0))
     radiance = state.radiance + met.map(lambda c: jnp.where(seen, c, 0.0))
-    depth = state.depth + 1
-    alive = state.alive & ~passed & (x.face >= 0) & ((depth < depths.max_depth) | (depths.max_depth < 0))
+    follows = (state.depth + 1 < depths.max_depth) | (depths.max_depth < 0)
+    alive = state.alive & ~passed & (x.face >= 0) & follows
+    landing = Landing(x, s, passed, alive, radiance)
     if not plan.bounces:
-        return _through(world, state, x, passed, replace(state, radiance=radiance, depth=depth, alive=alive & False))
+        return landing
     at = shading_at(world, x, wo)
+    if not plan.lights:
+        return replace(landing, at=at)
     # Direct light by a light sample, weighted against reflection.
-    if plan.lights:
-        node, light = world.settle(light_node(world, x, at, s))
-        useful = node.pdf if state.before is not None else node.weight.max()  # black surfaces have derivatives
-        blocked = hidden(world, leave(world, x, node.w), light, alive & (sg(useful) > 0))
-        share = sg(balance(node.pdf, reflection_density(world, at, node.w)))
-        lit = state.beta * node.weight * light.radiance * share
-        radiance = radiance + lit.map(lambda c: jnp.where(alive & ~blocked, c, 0.0))
+    node, light = world.settle(light_node(world, x, at, s))
+    useful = node.pdf if state.before is not None else node.weight.max()  # black surfaces have derivatives
+    asked = alive & (sg(useful) > 0)
+    share = sg(balance(node.pdf, reflection_density(world, at, node.w)))
+    lit = state.beta * node.weight * light.radiance * share
+    return replace(landing, at=at, origin=leave(world, x, node.w), light=light, asked=asked, lit=lit)
+
+
+def _reflect(world: World, depths: Depths, state: PathState, landing: Landing, blocked: Any) -> PathState:
+    """The path after its landing: light that is not blocked, the next direction, roulette."""
+    x, at, s, alive, radiance = landing.x, landing.at, landing.s, landing.alive, landing.radiance
+    depth = state.depth + 1
+    if at is None:
+        return _through(world, state, landing, replace(state, radiance=radiance, depth=depth, alive=alive & False))
+    if landing.lit is not None:
+        radiance = radiance + landing.lit.map(lambda c: jnp.where(alive & ~blocked, c, 0.0))
     # Reflection: the next direction.
     node = world.settle(reflection_node(world, at, s))
     beta = state.beta * node.weight
@@ -128,19 +173,22 @@ def bounce(world: World, depths: Depths, state: PathState, s: Stream) -> PathSta
     survive = jnp.where(depth >= depths.rr_depth, jnp.clip(most, 0.0, 0.95), 1.0)
     alive = alive & (most > 0) & (s.pair_at(2)[1] < survive)
     beta = beta * (1.0 / jnp.where(survive > 0, survive, 1.0))
-    follow = PathState(leave(world, x, node.w), node.w, beta, radiance, node.pdf, node.delta, depth, alive)
+    o = leave(world, x, node.w)
+    if state.before is None and not world.plan.enclosure:  # the last ray can only meet a lamp
+        alive = alive & ((depth + 1 != depths.max_depth) | emitter.may_meet(world, o, node.w))
+    follow = PathState(o, node.w, beta, radiance, node.pdf, node.delta, depth, alive)
     if state.before is not None:
         slopes = material.slope(functools.partial(reflected, world), at, node.w)
         follow = replace(follow, before=x.position, slopes=slopes)
-    return _through(world, state, x, passed, follow)
+    return _through(world, state, landing, follow)
 
 
-def _through(world: World, state: PathState, x: SurfacePoint, passed: Any, follow: PathState) -> PathState:
+def _through(world: World, state: PathState, landing: Landing, follow: PathState) -> PathState:
     """`follow`, but the camera's ray goes on where it met a hidden emitter."""
     if not world.plan.hide_emitters:
         return follow
-    through = passed & (x.face >= 0)
-    return where(through, replace(state, o=leave(world, x, state.d), alive=through), follow)
+    through = landing.passed & (landing.x.face >= 0)
+    return where(through, replace(state, o=leave(world, landing.x, state.d), alive=through), follow)
 
 
 def sample_stream(seed: Any, pixel: Any, i: Any) -> Stream:
@@ -161,6 +209,7 @@ class View(eqx.Module):
     width: Any
     height: Any
     sensor: SensorStructure = eqx.field(static=True)
+    searches: ClassVar[bool] = False
 
     def __call__(self, world: World, number: Any, s: Stream) -> PathState:
         column, row = (k.astype(self.lens.dtype) for k in (number % self.width, number // self.width))
@@ -175,6 +224,7 @@ class Rays(eqx.Module):
 
     points: Any
     directions: Any
+    searches: ClassVar[bool] = False
 
     def __call__(self, world: World, number: Any, s: Stream) -> PathState:
         return start(world, Vec3.of(self.points[number]), normalise(Vec3.of(self.directions[number])))
@@ -185,6 +235,7 @@ class Meters(eqx.Module):
 
     points: Any
     normals: Any
+    searches: ClassVar[bool] = True
 
     def frame(self, world: World, number: Any) -> tuple[Vec3, Frame]:
         frame = Frame.around(normalise(Vec3.of(self.normals[number])))
@@ -231,39 +282,41 @@ class Lane(eqx.Module):
 def trace(world: World, begin: Any, depths: Depths, seed: Any, numbers: Any, first: Any, last: Any) -> tuple[Any, Any]:
     """Sums of samples first..last−1 of each lane by set, (N, 4, C), and rays cast, (N,).
 
-    `begin`: how lane `number` begins a path, (world, number, stream) -> PathState.
+    `begin`: how lane `number` begins a path, (world, number, stream) -> PathState; whether it `searches` for that.
     """
-    rays_a_bounce = 2 if world.plan.lights else 1
-
-    def fresh(number: Any, sample: Any) -> PathState:
-        return begin(world, number, sample_stream(seed, number, sample))
-
-    def step(number: Any, lane: Lane) -> Lane:
-        # A path that ended gives its radiance to its set, and the lane starts its next sample.
-        path, of_set = lane.path, lane.sample & (SETS - 1)
-        ended = ~path.alive & (lane.sample < last)
-        sums = tuple(
-            total.map(lambda a, b, k=k: a + jnp.where(ended & (of_set == k), b, 0.0), path.radiance)
-            for k, total in enumerate(lane.sums)
-        )
-        sample = lane.sample + ended.astype(lane.sample.dtype)
-        path = where(ended, fresh(number, sample), path)
-        o, d = world.settle((path.o, path.d))
-        path = replace(path, o=o, d=d)
-        s = bounce_stream(sample_stream(seed, number, sample), path.depth)
-        rays = lane.rays + jnp.where(sample < last, rays_a_bounce, 0)
-        return Lane(sample, bounce(world, depths, path, s), sums, rays)
-
     zero = Spectrum.full(world.plan.channels, jnp.zeros(numbers.shape, world.faces.dtype))
     sample = jnp.full(numbers.shape, first, jnp.int32)
-    lanes = Lane(sample, jax.vmap(fresh)(numbers, sample), (zero,) * SETS, jnp.zeros(numbers.shape, jnp.int32))
+    path = jax.vmap(lambda number, i: begin(world, number, sample_stream(seed, number, i)))(numbers, sample)
+    lanes = Lane(sample, path, (zero,) * SETS, jnp.zeros(numbers.shape, jnp.int32))
+    whole = world.plan.bounces and world.plan.backend == "dense"
+    return (one_function(_loop) if whole else _loop)(world, begin, depths, seed, numbers, last, lanes)
 
-    def loop(lanes: Lane) -> tuple[Any, Any]:
-        lanes = jax.lax.while_loop(lambda c: jnp.any(c.sample < last), lambda c: jax.vmap(step)(numbers, c), lanes)
-        return jnp.stack([s.array() for s in lanes.sums], 1), lanes.rays
 
-    whole = world.plan.bounces and world.plan.backend == "dense"  # XLA takes no foreign calls into one function
-    return (one_function(loop) if whole else loop)(lanes)
+def _loop(world: World, begin: Any, depths: Depths, seed: Any, numbers: Any, last: Any, lanes: Lane) -> tuple[Any, Any]:
+    def step(number: Any, lane: Lane) -> Lane:
+        part = _part(world, lane.path) if not begin.searches else lambda f: f
+        lane, s = part(_ready)(world, begin, seed, number, lane, last)
+        return replace(lane, path=bounce(world, depths, lane.path, s))
+
+    lanes = jax.lax.while_loop(lambda c: jnp.any(c.sample < last), lambda c: jax.vmap(step)(numbers, c), lanes)
+    return jnp.stack([s.array() for s in lanes.sums], 1), lanes.rays
+
+
+def _ready(world: World, begin: Any, seed: Any, number: Any, lane: Lane, last: Any) -> tuple[Lane, Stream]:
+    """The lane with a path to follow: one that ended gives its radiance to its set, and the next sample starts."""
+    path, of_set = lane.path, lane.sample & (SETS - 1)
+    ended = ~path.alive & (lane.sample < last)
+    sums = tuple(
+        total.map(lambda a, b, k=k: a + jnp.where(ended & (of_set == k), b, 0.0), path.radiance)
+        for k, total in enumerate(lane.sums)
+    )
+    sample = lane.sample + ended.astype(lane.sample.dtype)
+    path = where(ended, begin(world, number, sample_stream(seed, number, sample)), path)
+    o, d = world.settle((path.o, path.d))
+    path = replace(path, o=o, d=d)
+    s = bounce_stream(sample_stream(seed, number, sample), path.depth)
+    rays = lane.rays + jnp.where(sample < last, 2 if world.plan.lights else 1, 0)
+    return Lane(sample, path, sums, rays), s
 
 
 def trace_fixed(world: World, begin: Any, steps: int, depths: Depths, seed: Any, numbers: Any, spp: int) -> Any:

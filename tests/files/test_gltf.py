@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from jaxrt.files.gltf import load_gltf
-from jaxrt.parts import Conductor, Diffuse, Mesh, SceneError, TwoSided
+from jaxrt.parts import Conductor, Diffuse, Instance, Mesh, SceneError, TwoSided
 
 QUICK = settings(max_examples=80, deadline=None)
 POSITIONS = np.array([[0, 0, 0], [2, 0, 0], [2, 1, 0], [0, 1, 0.5], [9, 9, 9]], np.float32)
@@ -385,3 +385,14 @@ def test_any_json_in_any_place_is_read_or_refused(folder, path, value):
         assert len(str(error).splitlines()) == 1
     else:
         assert all(isinstance(s, Mesh) for s in scene.shapes)
+
+
+def test_a_heavy_mesh_at_several_nodes_is_stored_once(tmp_path, monkeypatch):
+    nodes = [{"children": [1, 2, 3]}, {"mesh": 0, "name": "one"}, {"mesh": 0, "scale": [-1, 1, 1]}]
+    nodes += [{"mesh": 0, "translation": [1, 0, 0]}]
+    assert all(isinstance(s, Mesh) for s in load(tmp_path, nodes=nodes).shapes)
+    monkeypatch.setattr("jaxrt.files.gltf.SHARED", 2)
+    shapes = load(tmp_path, nodes=nodes).shapes
+    assert [s.id for s in shapes] == ["one", "shape", "shape"]
+    assert all(isinstance(s, Instance) and s.group is shapes[0].group for s in shapes)
+    np.testing.assert_allclose(shapes[2].to_world[:3, 3], [1, 0, 0])

@@ -320,7 +320,15 @@ def test_bytes_that_are_no_text(tmp_path):
         ("<shape/>", "<shape>: has no type"),
         ('<shape type="sphere" colour="red"/>', "has no attribute 'colour'"),
         ('<shape type="torus"/>', '<shape type="torus">: is not supported; use rectangle, cube'),
-        ('<shape type="instance"/>', "is not supported"),
+        ('<shape type="instance"/>', "refers to no shapegroup"),
+        ('<shape type="heightfield"/>', "is not supported; use rectangle"),
+        ('<shape type="instance"><shape type="sphere"/></shape>', "refers to no shapegroup"),
+        ('<shape type="shapegroup"><shape type="sphere" id="s"/></shape>', "s: cannot be in a group"),
+        ('<shape type="shapegroup"/>', "has no shapes"),
+        (
+            '<shape type="shapegroup" id="g"><shape type="shapegroup"><shape type="cube"/></shape></shape>',
+            "holds a group or an instance",
+        ),
         ('<shape type="sphere"><shape type="sphere"/></shape>', "is not supported in <shape"),
         ('<shape type="sphere"><medium type="homogeneous" name="interior"/></shape>', "is not supported in <shape"),
         ('<shape type="sphere"><texture type="bitmap"/></shape>', "is not supported in <shape"),
@@ -1091,3 +1099,42 @@ def test_mitsuba_has_the_same_plain_values(load, mi):
     assert (black["bsdf.reflectance.value"], black["emitter.radiance.value"]) == (0, 1)
     made = mi.load_string('<sensor version="3.0.0" type="perspective"/>')
     assert made.sampler().sample_count() == load('<sensor type="perspective"/>').integrator.spp
+
+
+def test_instances_share_a_group(load):
+    made = load(
+        '<shape type="shapegroup" id="toy"><shape type="cube" id="box"/><shape type="rectangle"/></shape>'
+        '<shape type="instance"><ref id="toy"/></shape>'
+        '<shape type="instance" id="far"><ref id="toy"/><transform name="to_world"><translate x="3"/></transform></shape>'
+    )
+    one, far = made.shapes
+    assert one.group is far.group and [s.id for s in one.group.shapes] == ["box", "toy.shape_1"]
+    assert (one.id, far.id) == ("shape_1", "far")
+    np.testing.assert_allclose(far.to_world[:3, 3], [3, 0, 0])
+    with pytest.raises(SceneError, match="has no shapes"):
+        load(GROUP)  # a group alone is not in the scene
+
+
+GROUP = '<shape type="shapegroup"><shape type="cube"/></shape>'
+INSTANCES = """<shape type="shapegroup" id="toy"><shape type="cube"><bsdf type="twosided"><bsdf type="diffuse"/></bsdf>
+</shape></shape><shape type="instance"><ref id="toy"/><transform name="to_world"><scale x=".5" y=".3" z=".4"/>
+<rotate x="1" angle="35"/><translate x="-.6"/></transform></shape><shape type="instance"><ref id="toy"/>
+<transform name="to_world"><scale x="-.4" y=".4" z=".4"/><rotate z="1" angle="70"/><translate x=".7"/></transform>
+</shape><emitter type="constant"/><shape type="sphere"><point name="center" x="0" y="0" z="3"/>
+<emitter type="area"><rgb name="radiance" value="9,8,7"/></emitter></shape><sensor type="perspective">
+<transform name="to_world"><lookat origin="0,-4,1" target="0,0,0" up="0,0,1"/></transform>
+<sampler type="independent"><integer name="sample_count" value="256"/></sampler><film type="hdrfilm">
+<integer name="width" value="24"/><integer name="height" value="16"/><rfilter type="box"/></film></sensor>
+<integrator type="path"><integer name="max_depth" value="4"/></integrator>"""
+
+
+@pytest.mark.peer
+def test_mitsuba_has_the_same_instances(mi, tmp_path):
+    import jaxrt
+
+    path = tmp_path / "scene.xml"
+    path.write_text(scene(INSTANCES))
+    ours, theirs = jaxrt.render(jaxrt.load(path), 256, 1), np.array(mi.render(mi.load_file(str(path))))[..., :3]
+    blocks = lambda image: image.reshape(4, 4, 6, 4, 3).mean((1, 3))
+    np.testing.assert_allclose(blocks(ours.image), blocks(theirs), rtol=0.03)
+    assert abs(ours.image.mean() / theirs.mean() - 1) < 3e-3

@@ -549,3 +549,23 @@ def test_a_meter_sums_what_its_rays_see():
     direct, direct_error = mean_and_error(meters[:, 0])
     assert direct_error < 0.01 * direct
     assert abs(mean - direct) < 4 * np.hypot(error, direct_error)
+
+
+def test_the_last_ray_is_cast_only_where_a_lamp_may_be():
+    """The picture is the same without an enclosure and with a black one, in which every last ray is cast."""
+    turned = lambda *at: moved(0.2, at, frame([0.2, 0.3, -1.0], [1, 0, 0]))
+    lamps = [
+        jaxrt.Sphere(center=(0.5, 0.5, 0.2), radius=0.1, emission=3.0),
+        jaxrt.Disk(to_world=turned(-0.5, 0.5, 0.5), emission=5.0),
+        jaxrt.Cylinder(p0=(-0.5, -0.5, 0), p1=(-0.2, -0.5, 0.3), radius=0.05, emission=4.0),
+        jaxrt.Rectangle(to_world=turned(0.3, -0.6, 0.4), emission=6.0),
+        jaxrt.Mesh(vertices=[[0.8, 0, 0], [0.8, 0.4, 0], [0.8, 0, 0.7]], faces=[[0, 2, 1]], emission=9.0),
+    ]
+    for some in (lamps, lamps * 4):  # one by one, and by one sphere around all of them
+        scene = box_room(0.6, others=some)
+        few, all_ = (
+            jaxrt.render(scene, 64, 0, max_depth=3, plan=jaxrt.plan(scene, free=None, enclosure=on))
+            for on in (False, True)
+        )
+        np.testing.assert_allclose(few.image, all_.image, rtol=1e-4, atol=1e-6)
+        assert few.stats["rays"] < (0.85 if some is lamps else 1.0) * all_.stats["rays"]
