@@ -24,6 +24,12 @@ JAX's own cache keeps what XLA made of a program, but the program is traced and 
 which for a path tracer takes longer than many a picture.
 """
 
+
+def cores() -> int:
+    """How many cores this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
 _programs: dict[Any, Callable[..., Any]] = {}
 
 

@@ -13,6 +13,7 @@ import functools
 import hashlib
 import importlib.metadata
 import importlib.util
+import os
 import threading
 import time
 from typing import Any
@@ -23,6 +24,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, UInt32
 
+from ..compiler import cores
 from ..instances import Instances
 from ..vector import Vec3
 from .batch import in_a_row
@@ -270,7 +272,7 @@ def _build(
     places: np.ndarray,
 ) -> _Kept:
     """Quads go in as two triangles each: a second kind of geometry would be a second search for every ray."""
-    from .embree_handler import PACKET, RECORD, keep
+    from .embree_handler import PACKET, RECORD, keep, share
 
     library, count = _library(), len(triangles)
     triangles = np.concatenate([triangles, quads[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 3, 3)])
@@ -291,6 +293,7 @@ def _build(
     for group in inner.values():
         library.rtcReleaseScene(group)  # the instances hold it
     address = lambda f: ctypes.cast(f, ctypes.c_void_p).value or 0
+    system = ctypes.CDLL(None) if os.name == "posix" else None
     message = ctypes.create_string_buffer(GONE)
     starts = rows + np.cumsum(np.concatenate([[0], sizes])).astype(np.int64)
     words = {
@@ -303,6 +306,10 @@ def _build(
         "instances": starts.ctypes.data,
         "alive": 1,
         "message": ctypes.addressof(message),
+        "cores": cores() if system else 1,
+        "spawn": address(system.pthread_create) if system else 0,
+        "join": address(system.pthread_join) if system else 0,
+        "share": share.address,
     }
     record = np.array([words[name] for name in RECORD], np.int64)
     _records.append((record, message, starts))

@@ -14,7 +14,7 @@ import jax
 import numpy as np
 
 from .. import __version__
-from ..compiler import program
+from ..compiler import cores, program
 from ..effects import Plan
 from ..effects import plan as make_plan
 from ..parts import SceneError
@@ -35,10 +35,6 @@ def resized(scene: Scene, sensor: int, width: int, height: int) -> Scene:
     sensors[sensor] = sensors[sensor].sized(width, height)
     sensors[sensor].as_film()  # which says what it cannot be
     return dataclasses.replace(scene, structure=dataclasses.replace(scene.structure, sensors=tuple(sensors)))
-
-
-def cores() -> int:
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 LANE_BYTES = 4096
