@@ -292,6 +292,11 @@ def trace(world: World, begin: Any, depths: Depths, seed: Any, numbers: Any, fir
     return (one_function(_loop) if whole else _loop)(world, begin, depths, seed, numbers, last, lanes)
 
 
+def trace_rows(world: World, begin: Any, depths: Depths, seed: Any, rows: Any, first: Any, last: Any) -> Any:
+    """`trace` for each row of numbers, one after another."""
+    return jax.lax.map(lambda numbers: trace(world, begin, depths, seed, numbers, first, last), rows)
+
+
 def _loop(world: World, begin: Any, depths: Depths, seed: Any, numbers: Any, last: Any, lanes: Lane) -> tuple[Any, Any]:
     def step(number: Any, lane: Lane) -> Lane:
         part = _part(world, lane.path) if not begin.searches else lambda f: f

@@ -37,6 +37,9 @@ def resized(scene: Scene, sensor: int, width: int, height: int) -> Scene:
     return dataclasses.replace(scene, structure=dataclasses.replace(scene.structure, sensors=tuple(sensors)))
 
 
+FEW_SAMPLES, ROWS = 64, 16
+"""Below so many samples a pixel a program takes so many rows of pixels, for one row is done too soon to be called."""
+
 LANE_BYTES = 4096
 """What a lane holds while it works, at most: its state, and what a bounce computes for it."""
 
@@ -119,14 +122,17 @@ def render(
     depths = numbers(path.Depths(np.int32(depths.max_depth), np.int32(depths.rr_depth), np.bool_(depths.hide_emitters)))
     key = np.asarray(seed_of(seed))
     began = time.perf_counter()
-    pixels_of = lambda block: _tiled(np.arange(block * lanes, (block + 1) * lanes) % n, width, height)
+    rows = ROWS if spp < FEW_SAMPLES and n > ROWS * lanes * threads * 4 else 1
+    size = rows * lanes
+    pixels_of = lambda block: _tiled(np.arange(block * size, (block + 1) * size) % n, width, height)
     scene, view = in_working_precision((scene, view))
     tables = dataclasses.replace(scene, structure=Structure(), plan=None)  # names and sensors make no other world
     world = program(prepare, tables, plan, keep=plan.backend == "dense")(tables, plan)
-    run = program(path.trace, world, view, depths, key, pixels_of(0), np.int32(0), np.int32(1))
+    example = pixels_of(0).reshape(rows, lanes)
+    run = program(path.trace_rows, world, view, depths, key, example, np.int32(0), np.int32(1))
     compiled = time.perf_counter()
 
-    blocks = -(-n // lanes)
+    blocks = -(-n // size)
     passes = [(a, min(a + PASS, spp)) for a in range(0, spp, PASS)]
     counts = np.array([len(range(k, spp, path.SETS)) for k in range(path.SETS)])
     image, variance = (np.empty((n, plan.channels), np.float32) for _ in range(2))
@@ -137,14 +143,14 @@ def render(
     def work(block: int) -> None:
         """All samples of a block of pixels, in order, so that sums do not depend on which thread was faster."""
         nonlocal done
-        pixels, used = pixels_of(block), min(lanes, n - block * lanes)
+        pixels, used = pixels_of(block), min(size, n - block * size)
         sums = np.zeros((used, path.SETS, plan.channels))
         for first, last in passes:
             if stop_asked.is_set():
                 return
-            values, cast = run(world, view, depths, key, pixels, np.int32(first), np.int32(last))
-            sums += np.asarray(values, np.float64)[:used]
-            rays[block] += int(np.asarray(cast, np.int64)[:used].sum())
+            values, cast = run(world, view, depths, key, pixels.reshape(rows, lanes), np.int32(first), np.int32(last))
+            sums += np.asarray(values, np.float64).reshape(size, *sums.shape[1:])[:used]
+            rays[block] += int(np.asarray(cast, np.int64).reshape(-1)[:used].sum())
             done += 1
             if progress:
                 progress(done / (blocks * len(passes)))
