@@ -2,9 +2,9 @@
 
     python experiments/scaling/run.py [--quick]
 
-Rays start inside icospheres of 36 to 1.3 million triangles, in all directions, arrays in and out. The embree
-backend gets all of them in one jitted call, the others one program a core; Mitsuba `ray_intersect_preliminary`, robust. They take turns, warm, and the best of five counts.
-Writes results/scaling.csv and .png.
+Rays start inside spheres of 48 to 1.3 million triangles, in all directions, arrays in and out. The embree backend
+gets all of them in one jitted call, the others one program a core; Mitsuba `ray_intersect_preliminary`, robust.
+They take turns, warm, and the best of five counts. Writes results/scaling.csv and .png.
 """
 
 from __future__ import annotations

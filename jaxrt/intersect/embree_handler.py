@@ -24,7 +24,8 @@ RECORD = (
 triangles of ours (the others are halves of quads), the number of our first quad, the table of the first number of
 each instance, whether the scene still exists, the text of the error where it does not; and for calls of many rays
 the number of cores, `pthread_create`, `pthread_join` and what each thread does."""
-SCENE, CLOSEST, OCCLUDED, FILTER, TRIANGLES, FIRST_QUAD, INSTANCES, ALIVE, MESSAGE, CORES, SPAWN, JOIN, SHARE = range(13)
+SCENE, CLOSEST, OCCLUDED, FILTER, TRIANGLES, FIRST_QUAD, INSTANCES, ALIVE, MESSAGE = range(9)
+CORES, SPAWN, JOIN, SHARE = range(9, 13)
 
 MANY = 1 << 15
 """Rays from which a call takes threads of its own; programs of a picture, one a core, stay below."""

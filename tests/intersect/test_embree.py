@@ -8,7 +8,7 @@ from helpers import icosphere, sphere_directions
 
 import jaxrt
 from jaxrt import intersect
-from jaxrt.intersect import embree
+from jaxrt.intersect import embree, embree_scene
 from jaxrt.vector import Vec3
 
 pytestmark = pytest.mark.skipif(intersect.refusal("embree") is not None, reason=str(intersect.refusal("embree")))
@@ -53,7 +53,7 @@ def test_a_scene_that_was_let_go_is_an_error_not_a_crash(monkeypatch):
     cast = jax.jit(lambda world: jax.vmap(lambda o, d: jaxrt.psi(world)(Vec3.of(o), Vec3.of(d)).face)(START, W))
     world = jaxrt.world.world_of(ball(3.0), plan)
     assert (np.asarray(cast(world)) >= 0).all()
-    monkeypatch.setattr(embree, "BUDGET", 0)
+    monkeypatch.setattr(embree_scene, "BUDGET", 0)
     others = [jaxrt.world.world_of(ball(r), plan) for r in (4.0, 5.0, 6.0)]
     assert (np.asarray(cast(others[-1])) >= 0).all()
     with pytest.raises(Exception, match="let go"):
@@ -77,3 +77,29 @@ def test_without_embree_there_is_a_tree(monkeypatch):
 def test_the_plan_takes_embree_from_many_faces_on():
     plan = jaxrt.plan(ball())
     assert plan.backend == "embree" and "rays:embree" in plan.effects
+
+
+def test_one_call_of_many_rays_on_all_cores():
+    """Calls from `MANY` rays on are shared among threads: the same faces as in small calls, also from several callers."""
+    from concurrent.futures import ThreadPoolExecutor
+
+    from jaxrt.intersect.embree_handler import MANY
+
+    scene = ball()
+    world = jaxrt.world.world_of(scene, jaxrt.plan(scene, backend="embree"))
+    n = 2 * MANY + 77
+    d = np.random.default_rng(0).normal(size=(3, n)).astype(np.float32)
+    d /= np.linalg.norm(d, axis=0)
+    o = np.where(np.arange(n) % 3, 0.0, 5.0).astype(np.float32)
+    ask = jax.jit(lambda o, d: jax.vmap(lambda x, *d: cast_both(world, x, Vec3(*d)))(o, *d))
+    parts = [np.asarray(ask(o[k : k + 1000], d[:, k : k + 1000])) for k in (0, MANY // 2, n - 1000)]
+    with ThreadPoolExecutor(3) as pool:
+        for whole in pool.map(lambda _: np.asarray(ask(o, d)), range(3)):
+            for part, k in zip(parts, (0, MANY // 2, n - 1000), strict=True):
+                np.testing.assert_array_equal(whole[k : k + 1000], part)
+            assert (whole[np.arange(n) % 3 > 0, 0] >= 0).all() and (whole[:, 1] != 0).any()
+
+
+def cast_both(world, x, d):
+    o = Vec3(x, x * 0, x * 0)
+    return jnp.stack([world.search.closest(o, d), world.search.occluded(o, d, 9.0, 0).astype(jnp.int32)])
