@@ -164,6 +164,11 @@ def build(
     `channels`: length of a spectrum; by default the longest that a part has. Raises `SceneError`
     for a scene without shapes and for spectra of other lengths.
     """
+    for s in shapes:
+        if isinstance(s, Group):
+            raise SceneError(f"{s.id or 'group'}: is not in the scene by itself; place it by an Instance")
+        if isinstance(s, Instance):
+            s.group.__post_init__()  # a shape may have been changed since
     instances = [s for s in shapes if isinstance(s, Instance)]
     grouped: dict[int, Group] = {id(s.group): s.group for s in instances}
     placed = [s for s in shapes if not isinstance(s, Instance)]
@@ -222,6 +227,8 @@ def build(
     counts[0] -= sum(sizes)
     groups = [(counts[0] + sum(sizes[:k]), n) for k, n in enumerate(sizes)]
     group_of = [list(grouped).index(id(s.group)) for s in instances]
+    if sum(blocks) + bucket(sum(sizes[g] for g in group_of)) >= 1 << 31:
+        raise SceneError(f"{source or 'scene'}: instances stand for more than 2³¹ triangles; take fewer")
     for k, instance in enumerate(instances):
         names.add(f"{names.part(instance.id or 'instance')}.to_world", "instances", k)
     face_shape, patches, layout, lights = [], [], [], []

@@ -17,7 +17,7 @@ from .vector import Vec3, dot
 
 
 class Instances(eqx.Module):
-    """Placements about the scene's centre, by 3x4 matrices in rows; a last one, the identity, for all else."""
+    """Placements by 3x4 matrices in rows; a last one, the identity, for all else."""
 
     first: Int32[Array, " I"]  # row of the group's first triangle
     ends: Int32[Array, " I"]  # how many numbers the instances up to this one take
@@ -34,15 +34,23 @@ class Instances(eqx.Module):
         rows = lambda m: m[:, :3].reshape(-1, 12)
         return cls(scene.groups[group, 0], jnp.cumsum(count), rows(m), rows(jnp.linalg.inv(m)), scene.faces)
 
-    def about(self, center: Any) -> Instances:
-        """The same for coordinates about another origin than (0, 0, 0)."""
+    def centers(self, groups: Any, origins: Any) -> tuple[Any, Any]:
+        """A point in the middle of each group, (G, 3), and the group of each row, −1 if none. Held fixed."""
+        of_row, g = group_of(groups, jnp.arange(self.rows)), len(groups)
+        slot = jnp.where(of_row < 0, g, of_row)
+        total = jax.ops.segment_sum(jax.lax.stop_gradient(origins), slot, g + 1)
+        return total[:g] / jnp.maximum(groups[:, 1:], 1), of_row
 
-        def moved(rows: Any) -> Any:
-            m = rows.reshape(-1, 3, 4)
-            shift = m[:, :, 3] + jnp.einsum("ijk,k->ij", m[:, :, :3], center, precision="highest") - center[None]
-            return jnp.concatenate([m[:, :, :3], shift[:, :, None]], -1).reshape(-1, 12)
-
-        return Instances(self.first, self.ends, moved(self.to_world), moved(self.to_local), self.rows)
+    def about(self, center: Any, groups: Any, centers: Any) -> Instances:
+        """The same for world positions about `center` and a group's about its own centre, so that both stay small."""
+        m = self.to_world.reshape(-1, 3, 4)
+        inner = jnp.concatenate([centers[jnp.maximum(group_of(groups, self.first), 0)], center[None]])
+        shift = m[:, :, 3] + jnp.einsum("ijk,ik->ij", m[:, :, :3], inner, precision="highest") - center[None]
+        shift = shift.at[-1].set(0.0)  # the identity
+        inverse = self.to_local.reshape(-1, 3, 4)[:, :, :3]
+        back = -jnp.einsum("ijk,ik->ij", inverse, shift, precision="highest")
+        rows = lambda linear, shift: jnp.concatenate([linear, shift[:, :, None]], -1).reshape(-1, 12)
+        return Instances(self.first, self.ends, rows(m[:, :, :3], shift), rows(inverse, back), self.rows)
 
     @property
     def counts(self) -> Any:

@@ -228,10 +228,10 @@ class Group:
     id: str = ""
 
     def __post_init__(self):
-        name = self.id or "group"
+        name, self.shapes = self.id or "group", list(self.shapes)
         check(len(self.shapes) > 0, name, "has no shapes; give it some")
         for shape in self.shapes:
-            member = shape.id or type(shape).__name__.lower()
+            member = getattr(shape, "id", "") or type(shape).__name__.lower()
             flat = isinstance(shape, (Mesh, Rectangle, Cube))
             check(flat, f"{name}.{member}", "cannot be in a group; put a mesh, a rectangle or a cube there")
             check(shape.emission is None, f"{name}.{member}", "emits; take it out of the group")
@@ -246,7 +246,9 @@ class Instance:
     id: str = ""
 
     def __post_init__(self):
-        self.to_world = matrix(self.to_world, f"{self.id or 'instance'}.to_world")
+        name = self.id or "instance"
+        check(isinstance(self.group, Group), f"{name}.group", "is not a Group; put the shapes into one")
+        self.to_world = matrix(self.to_world, f"{name}.to_world")
 
     def written_out(self) -> list[Shape]:
         """The group's shapes where this instance has them."""

@@ -210,6 +210,10 @@ def prepare(scene: Scene, plan: Plan) -> World:
     )
 
     o = geometry[:, :3] - sg(center)[None]
+    if instances is not None:  # a group's rows are about its own centre
+        middles, group = instances.centers(scene.groups, geometry[:, :3])
+        o = jnp.where(group[:, None] < 0, o, geometry[:, :3] - middles[jnp.maximum(group, 0)])
+        instances = instances.about(sg(center), scene.groups, middles)
     maps = affine(o, geometry[:, 3:6], geometry[:, 6:9])
     n, height, u, v = maps[:, :3] * side[:, None], maps[:, 3] * side, maps[:, 4:8], maps[:, 8:12]
     if sum(scene.blocks[3:]):
@@ -238,9 +242,8 @@ def prepare(scene: Scene, plan: Plan) -> World:
         -1,
     )
     epsilon = 8 * 2.0**-23 * jnp.maximum(sg(reach), sg(radius))
-    faces = Faces(sg(geometry), sg(maps), scene.counts, scene.blocks)
+    faces = Faces(sg(jnp.concatenate([o, geometry[:, 3:]], -1)), sg(maps), scene.counts, scene.blocks)
     if instances is not None:
-        instances = instances.about(sg(center))
         faces = dataclasses.replace(faces, instances=sg(instances), groups=scene.groups, copies=scene.copies)
     search = build_search(faces, sg(center), epsilon, plan)
     return World(

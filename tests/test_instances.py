@@ -200,5 +200,37 @@ def test_what_cannot_be_an_instance_is_refused():
         Group(id="toy", shapes=[])
     with pytest.raises(jaxrt.SceneError, match=r"toy.to_world: is singular"):
         Instance(id="toy", group=group(), to_world=np.zeros((4, 4)) + np.diag([0, 0, 0, 1.0]))
+    with pytest.raises(jaxrt.SceneError, match=r"toy.group: is not a Group"):
+        Instance(id="toy", group=jaxrt.Mesh(vertices=v, faces=f))
+    with pytest.raises(jaxrt.SceneError, match=r"toy: is not in the scene by itself"):
+        jaxrt.Scene.build([group()])
+    late = group()
+    late.shapes[0].emission = np.ones(1)
+    with pytest.raises(jaxrt.SceneError, match=r"toy.ball: emits"):
+        jaxrt.Scene.build([Instance(group=late)])
     with pytest.raises(ValueError, match="instances are not supported"):
         jaxrt.norm(pair()[0], jaxrt.emission(pair()[0]))
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+@pytest.mark.parametrize("scale", [1e-3, 1.0, 1e4])
+def test_groups_of_any_size_stay_exact_away_from_the_origin(backend, scale):
+    """A group modelled `scale` times smaller and enlarged by its place, in a scene that is off the origin."""
+    v, f = icosphere(2)
+    shift = np.array([0.3, -0.2, 0.5]) / scale
+    ball = jaxrt.Mesh(id="ball", vertices=v / scale + 40 * shift, faces=f)
+    place = moved(scale, (7.0, 5.0, 3.0)) @ moved(1.0, -40 * shift)
+    scene = jaxrt.Scene.build([Instance(group=Group(shapes=[ball]), to_world=place), wall_at(11.0)])
+    o, d = rays(1000)
+    x = hits(scene, 0.5 * o + [7.0, 5.0, 3.0], -o / 3.0, plan=jaxrt.plan(scene, backend=backend))
+    assert (x.face >= scene.faces).all()
+    center = columns(x.position) - [7.0, 5.0, 3.0]
+    np.testing.assert_allclose(np.linalg.norm(center, axis=1), 0.99, atol=0.011)  # between a face and its corners
+    depth = (columns(x.normal) * center).sum(1)
+    n = np.cross(v[f][:, 1] - v[f][:, 0], v[f][:, 2] - v[f][:, 0])
+    planes = np.abs((n / np.linalg.norm(n, axis=1)[:, None] * v[f][:, 0]).sum(1))
+    np.testing.assert_allclose(depth, planes[x.face - scene.faces], atol=4e-6)
+
+
+def wall_at(x):
+    return jaxrt.Rectangle(to_world=moved(0.5, (x, 5.0, 3.0)))

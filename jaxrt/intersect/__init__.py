@@ -58,7 +58,10 @@ def choose(faces: int) -> tuple[str, str]:
 
 
 class Faces(eqx.Module):
-    """What is searched: faces (origin, e₁, e₂) by kind in `blocks`, their affine maps, instances of groups of them."""
+    """What is searched: faces (origin, e₁, e₂) by kind in `blocks`, their affine maps, instances of groups of them.
+
+    All about the scene's centre, groups about their own.
+    """
 
     geometry: Any
     maps: Any

@@ -119,7 +119,7 @@ class Bvh(eqx.Module):
         pad = lambda table: jnp.concatenate([table, jnp.zeros_like(table[:1], shape=(1, table.shape[1]))])
         rows, edges = pad(flat_columns(maps[: blocks[0]], epsilon))[faces], pad(geometry[: blocks[0]])[faces]
         # Where an inside test may reach out to, and the rounding of all that is computed from the box.
-        o, a, b = edges[..., :3] - center[None, None], edges[..., 3:6], edges[..., 6:9]
+        o, a, b = edges[..., :3], edges[..., 3:6], edges[..., 6:9]
         out = jnp.minimum(2 * rows[..., 12:], 100.0)
         corners = jnp.stack([o - (a + b) * out, o + a + (2 * a - b) * out, o + b + (2 * b - a) * out])
         low, high = corners.min(0) - epsilon, corners.max(0) + epsilon

@@ -36,11 +36,11 @@ class WrittenOut(eqx.Module):
         m = instances.to_world[jnp.where(real, k, 0)].reshape(-1, 3, 4)
         o, a, b = (geometry[jnp.where(real, row, 0), j : j + 3] for j in (0, 3, 6))
         turn = lambda v: jnp.einsum("nij,nj->ni", m[:, :, :3], v, precision="highest")
-        moved = [turn(o - center[None]) + m[:, :, 3] + center[None], turn(a), turn(b)]
+        moved = [turn(o) + m[:, :, 3], turn(a), turn(b)]
         moved = jnp.where(own[:, None], jnp.concatenate([o, a, b], -1), jnp.concatenate(moved, -1))
         moved = jnp.where(real[:, None], moved, 0.0)
         geometry = jnp.concatenate([moved, geometry[blocks[0] :]])
-        maps = jnp.concatenate([affine(moved[:, :3] - center[None], moved[:, 3:6], moved[:, 6:]), maps[blocks[0] :]])
+        maps = jnp.concatenate([affine(moved[:, :3], moved[:, 3:6], moved[:, 6:]), maps[blocks[0] :]])
         counts = counts.at[0].add(numbers)
         search = build(geometry, maps, counts, (blocks[0] + copies, *blocks[1:]), center, epsilon)
         return cls(search, triangles, numbers, blocks, copies)

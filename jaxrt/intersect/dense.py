@@ -42,11 +42,11 @@ class Dense(eqx.Module):
         epsilon: Any,
         first_kind: int = 0,
     ) -> Dense:
-        """Tables from faces (origin, e₁, e₂), shape (P, 9), by kind in `blocks`, and their `affine` maps."""
+        """Tables from faces (origin, e₁, e₂) about the centre, (P, 9), by kind in `blocks`, and their `affine` maps."""
         table = flat_columns(maps, epsilon)
         starts = [sum(blocks[:k]) for k in range(6)]
         flat = [table[starts[k] : starts[k + 1] if k >= first_kind else starts[k]] for k in range(3)]
-        o, a, b = geometry[:, :3] - center[None], geometry[:, 3:6], geometry[:, 6:9]
+        o, a, b = geometry[:, :3], geometry[:, 3:6], geometry[:, 6:9]
         ball, tube = slice(starts[3], starts[4]), slice(starts[4], starts[5])
         l2 = jnp.sum(a[tube] ** 2, -1, keepdims=True)
         used = l2 > 0

@@ -52,7 +52,7 @@ class Embree(eqx.Module):
 
         `copies`: instances, about the centre, and their groups, in which faces reach out by the same in the world.
         """
-        o, a, b = geometry[:, :3] - center[None], geometry[:, 3:6], geometry[:, 6:9]
+        o, a, b = geometry[:, :3], geometry[:, 3:6], geometry[:, 6:9]
         reach = epsilon if copies is None else epsilon / copies[0].smallest_scale(copies[1])
         s = flat_columns(maps, reach)[:, 12:]
         at = lambda f, g: o + a * f + b * g

@@ -27,7 +27,8 @@ def build(backend, geometry, counts, blocks, order=None):
     """A search about the corner of the first face. Pure."""
     center = geometry[:1, :3].sum(0)
     epsilon = 8 * 2.0**-23 * jnp.abs(geometry[:, :3]).max(initial=1.0)
-    maps = affine(geometry[:, :3] - center[None], geometry[:, 3:6], geometry[:, 6:9])
+    geometry = jnp.concatenate([geometry[:, :3] - center[None], geometry[:, 3:]], -1)
+    maps = affine(geometry[:, :3], geometry[:, 3:6], geometry[:, 6:9])
     more = () if backend is Dense else (order,)
     return backend.build(geometry, maps, jnp.array(counts), blocks, center, epsilon, *more)
 
