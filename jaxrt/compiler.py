@@ -152,5 +152,6 @@ def one_function(f: Callable[..., Any]) -> Callable[..., Any]:
 
 def _zero(tree: Any) -> Any:
     """0, in a way that XLA does not see through, made of every array in the tree."""
-    total = sum(leaf.reshape(-1)[0].astype(jnp.float32) for leaf in jax.tree.leaves(tree))
+    one = lambda a: jax.lax.slice(a, (0,) * a.ndim, (1,) * a.ndim).reshape(()) if a.ndim else a
+    total = sum(one(leaf).astype(jnp.float32) for leaf in jax.tree.leaves(tree))
     return jax.lax.clz(jax.lax.bitcast_convert_type(total, jnp.int32)) >> 6

@@ -47,7 +47,7 @@ def test_what_is_left_out_leaves_no_trace():
         assert len(lowered(rich, jaxrt.plan(rich)).splitlines()) > len(short.splitlines()) + 50
     dark = room(radiance=0.0)
     without_lamp = lowered(dark, jaxrt.plan(dark, free=None))
-    assert len(without_lamp.splitlines()) < 0.8 * len(short.splitlines())
+    assert len(without_lamp.splitlines()) < len(short.splitlines()) - 1050
     grey = lowered(plain, jaxrt.plan(plain, free=None))
     assert len(grey.splitlines()) < len(short.splitlines())
 
