@@ -141,7 +141,7 @@ def _as_mesh(shape: Shape) -> Mesh:
     rows = _patches(shape)[1].reshape(-1, 3, 3)
     corners = np.stack([rows[:, 0], rows[:, :2].sum(1), rows.sum(1), rows[:, ::2].sum(1)], 1)
     mirrored = np.linalg.det(shape.to_world[:3, :3]) < 0  # fronts stay where the shape has them
-    four = np.arange(4 * len(rows)).reshape(-1, 4)[:, ::-1] if mirrored else np.arange(4 * len(rows)).reshape(-1, 4)
+    four = np.arange(4 * len(rows)).reshape(-1, 4)[:, :: -1 if mirrored else 1]
     return Mesh(
         vertices=corners.reshape(-1, 3),
         faces=four[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 3),
@@ -227,7 +227,8 @@ def build(
     counts[0] -= sum(sizes)
     groups = [(counts[0] + sum(sizes[:k]), n) for k, n in enumerate(sizes)]
     group_of = [list(grouped).index(id(s.group)) for s in instances]
-    if sum(blocks) + bucket(sum(sizes[g] for g in group_of)) >= 1 << 31:
+    copies = bucket(sum(sizes[g] for g in group_of))
+    if sum(blocks) + copies >= 1 << 31:
         raise SceneError(f"{source or 'scene'}: instances stand for more than 2³¹ triangles; take fewer")
     for k, instance in enumerate(instances):
         names.add(f"{names.part(instance.id or 'instance')}.to_world", "instances", k)
@@ -287,7 +288,7 @@ def build(
         sensor_to_world=f([s.to_world for s in sensors], (4, 4), len(sensors)),
         lens=f([(s.fov, s.near, s.far, s.aperture_radius, s.focus_distance) for s in sensors], (5,), len(sensors)),
         blocks=tuple(blocks),
-        copies=bucket(sum(sizes[g] for g in group_of)),
+        copies=copies,
         structure=Structure(
             slots=tuple(names.slots.items()),
             shapes=tuple(layout),

@@ -10,7 +10,7 @@ import numpy as np
 
 from .build import build
 from .files import load_description
-from .files.view import world_points
+from .files.view import scene_points
 from .parts import Description
 from .scene import Scene
 
@@ -36,7 +36,7 @@ def load(path: str | Path, /, **defaults: Any) -> Scene:
 
 def _beyond(description: Description) -> list[str]:
     """Sensors whose far end would cut something off: it is drawn all the same, and said."""
-    world = np.concatenate([np.insert(world_points(shape), 3, 1.0, axis=1) for shape in description.shapes])
+    world = np.insert(scene_points(description.shapes), 3, 1.0, axis=1)
     notes = []
     for sensor in description.sensors:
         depth = float((world @ np.linalg.inv(sensor.to_world).T)[:, 2].max())

@@ -229,7 +229,7 @@ def _load(file: _File) -> Description:
             index = file.integer(node, "camera", where=f"nodes[{number}].")
             sensors.append(_sensor(file, index, name, to_world))
     for index, where in places.items():
-        shapes += _placed(file, [(mesh, suffix) for suffix, mesh in meshes[index]], where)
+        shapes += _placed(file, meshes[index], where)
     used = {str(e) for e in file.table(file.json, "extensionsUsed")} - _KNOWN - {"KHR_lights_punctual"}
     for what, names in (
         ("KHR_lights_punctual is not supported yet; left out the lights of", lights),
@@ -246,18 +246,18 @@ def _load(file: _File) -> Description:
 
 
 def _placed(
-    file: _File, meshes: list[tuple[Mesh, str]], where: list[tuple[str, np.ndarray]]
+    file: _File, meshes: list[tuple[str, Mesh]], where: list[tuple[str, np.ndarray]]
 ) -> Iterator[Mesh | Instance]:
     """A mesh's parts at each of its nodes: as instances of one group where that saves much, else each for itself."""
-    if (len(where) - 1) * sum(len(mesh.faces) for mesh, _ in meshes) >= SHARED and all(
-        mesh.emission is None for mesh, _ in meshes
+    if (len(where) - 1) * sum(len(mesh.faces) for _, mesh in meshes) >= SHARED and all(
+        mesh.emission is None for _, mesh in meshes
     ):
-        group = Group(shapes=[dataclasses.replace(mesh, id=mesh.id + suffix) for mesh, suffix in meshes])
+        group = Group(shapes=[dataclasses.replace(mesh, id=mesh.id + suffix) for suffix, mesh in meshes])
         for name, to_world in where:
-            yield Instance(id=name or meshes[0][0].id, group=group, to_world=to_world)
+            yield Instance(id=name or meshes[0][1].id, group=group, to_world=to_world)
         return
     for name, to_world in where:
-        for mesh, suffix in meshes:
+        for suffix, mesh in meshes:
             placed = copy.copy(mesh)  # shares the arrays
             placed.id, placed.to_world = (name or mesh.id) + suffix, to_world
             if np.linalg.det(to_world[:3, :3]) < 0:

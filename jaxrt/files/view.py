@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import dataclasses
 import itertools
+from collections.abc import Iterable
 
 import numpy as np
 
@@ -57,7 +58,7 @@ def complete(description: Description, *, light: bool = True, orient: bool = Fal
         if turned:
             notes.append(f"not closed, or not wound outwards, so reflecting on both sides: {', '.join(turned)}")
     with np.errstate(over="ignore", invalid="ignore"):  # absurd places are refused where they matter
-        points = np.concatenate([world_points(shape) for shape in shapes])
+        points = scene_points(shapes)
         size = float(np.linalg.norm(np.ptp(points, axis=0)))
     if not sensors:
         if not size < 1e15:  # beyond, squares of lengths overflow in float32
@@ -78,10 +79,22 @@ def complete(description: Description, *, light: bool = True, orient: bool = Fal
     return dataclasses.replace(description, shapes=shapes, sensors=sensors, enclosure=enclosure, notes=notes)
 
 
-def world_points(shape: Shape | Instance) -> np.ndarray:
+def scene_points(shapes: Iterable[Shape | Instance]) -> np.ndarray:
+    """Points (N, 3) in the world whose convex hull holds all shapes; those of a group are found once."""
+    groups: dict[int, np.ndarray] = {}
+    found = []
+    for shape in shapes:
+        if isinstance(shape, Instance):
+            if id(shape.group) not in groups:
+                groups[id(shape.group)] = scene_points(shape.group.shapes)
+            found.append(groups[id(shape.group)] @ shape.to_world[:3, :3].T + shape.to_world[:3, 3])
+        else:
+            found.append(world_points(shape))
+    return np.concatenate(found)
+
+
+def world_points(shape: Shape) -> np.ndarray:
     """Points (N, 3) in the world whose convex hull holds the shape; of a mesh the vertices that faces use."""
-    if isinstance(shape, Instance):
-        return np.concatenate([world_points(s) for s in shape.written_out()])
     unit = lambda *z: np.array(list(itertools.product((-1.0, 1.0), (-1.0, 1.0), z)))
     if isinstance(shape, Mesh):
         local = shape.vertices[np.unique(shape.faces)]

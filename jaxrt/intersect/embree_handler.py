@@ -37,7 +37,7 @@ against 195 ns one by one, 143 by four and 156 by sixteen. Sorting them by direc
 RAY, HIT = 12, 9  # words of a ray and of a hit; a packet holds `PACKET` of each word in turn
 TFAR, MASK, ID, PRIMITIVE, INSTANCE = 8, 9, 10, 17, 19  # distance, mask, the lane it belongs to, what was met
 FILTER_BY_ARGUMENT = 2  # RTC_RAY_QUERY_FLAG_INVOKE_ARGUMENT_FILTER
-INTERNAL, FAILED_PRECONDITION = 13, 9  # XLA_FFI_Error_Code
+FAILED_PRECONDITION = 9  # XLA_FFI_Error_Code
 
 
 @intrinsic

@@ -82,12 +82,12 @@ def hidden(world: World, o: Vec3, light: emitter.LightSample, asked: Any) -> Any
     return light.hidden | world.search.occluded(o, light.w, distance, light.face)
 
 
-def _part(world: World, state: PathState) -> Any:
+def _part(world: World, state: PathState, searches: bool = False) -> Any:
     """What is done to the parts of a pass between two searches: XLA takes no search but the dense one into a function.
 
     The bunny in a room: 3.5 s with every kernel queued, 2.9 s with three functions and two searches in turn.
     """
-    apart = world.plan.backend != "dense" and world.plan.bounces and state.before is None
+    apart = world.plan.backend != "dense" and world.plan.bounces and state.before is None and not searches
     return one_function if apart else lambda f: f
 
 
@@ -299,8 +299,7 @@ def trace_rows(world: World, begin: Any, depths: Depths, seed: Any, rows: Any, f
 
 def _loop(world: World, begin: Any, depths: Depths, seed: Any, numbers: Any, last: Any, lanes: Lane) -> tuple[Any, Any]:
     def step(number: Any, lane: Lane) -> Lane:
-        part = _part(world, lane.path) if not begin.searches else lambda f: f
-        lane, s = part(_ready)(world, begin, seed, number, lane, last)
+        lane, s = _part(world, lane.path, begin.searches)(_ready)(world, begin, seed, number, lane, last)
         return replace(lane, path=bounce(world, depths, lane.path, s))
 
     lanes = jax.lax.while_loop(lambda c: jnp.any(c.sample < last), lambda c: jax.vmap(step)(numbers, c), lanes)
