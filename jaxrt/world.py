@@ -6,7 +6,6 @@ sampling or the search does not. One row a face is gathered at each hit, and one
 
 from __future__ import annotations
 
-import dataclasses
 from typing import Any
 
 import equinox as eqx
@@ -159,7 +158,7 @@ def _bounds(scene: Scene, geometry: Any, instances: Instances | None) -> tuple[A
     high = jnp.where(curved[:, None], o + reach, o + jnp.maximum(a, 0) + jnp.maximum(b, 0))
     boxes = [(jnp.where(used[:, None], low, jnp.inf), jnp.where(used[:, None], high, -jnp.inf))]
     if instances is not None:
-        boxes.append(instances.boxes(scene.groups, low, high))
+        boxes.append(instances.boxes(low, high))
     low = jnp.concatenate([box[0] for box in boxes]).min(0)
     high = jnp.concatenate([box[1] for box in boxes]).max(0)
     return 0.5 * (low + high), 0.5 * jnp.linalg.norm(high - low), jnp.maximum(jnp.abs(low), jnp.abs(high)).max()
@@ -211,9 +210,9 @@ def prepare(scene: Scene, plan: Plan) -> World:
 
     o = geometry[:, :3] - sg(center)[None]
     if instances is not None:  # a group's rows are about its own centre
-        middles, group = instances.centers(scene.groups, geometry[:, :3])
+        middles, group = instances.centers(geometry[:, :3]), instances.group_of_row
         o = jnp.where(group[:, None] < 0, o, geometry[:, :3] - middles[jnp.maximum(group, 0)])
-        instances = instances.about(sg(center), scene.groups, middles)
+        instances = instances.about(sg(center), middles)
     maps = affine(o, geometry[:, 3:6], geometry[:, 6:9])
     n, height, u, v = maps[:, :3] * side[:, None], maps[:, 3] * side, maps[:, 4:8], maps[:, 8:12]
     if sum(scene.blocks[3:]):
@@ -242,10 +241,9 @@ def prepare(scene: Scene, plan: Plan) -> World:
         -1,
     )
     epsilon = 8 * 2.0**-23 * jnp.maximum(sg(reach), sg(radius))
-    faces = Faces(sg(jnp.concatenate([o, geometry[:, 3:]], -1)), sg(maps), scene.counts, scene.blocks)
-    if instances is not None:
-        faces = dataclasses.replace(faces, instances=sg(instances), groups=scene.groups, copies=scene.copies)
-    search = build_search(faces, sg(center), epsilon, plan)
+    origins = jnp.concatenate([o, geometry[:, 3:]], -1)
+    faces = Faces(origins, maps, scene.counts, center, epsilon, scene.blocks, instances, scene.copies)
+    search = build_search(sg(faces), plan)
     return World(
         geometry=geometry,
         faces=rows,

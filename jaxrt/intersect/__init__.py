@@ -9,15 +9,14 @@ from __future__ import annotations
 
 from typing import Any, Protocol
 
-import equinox as eqx
 import jax
 
-from ..instances import Instances
 from ..vector import Vec3
 from . import embree
 from .bvh import Bvh
 from .copies import WrittenOut
 from .dense import Dense, affine
+from .faces import Faces
 
 FEW = 128
 """Triangles and parallelograms up to which the dense backend is the fastest there is."""
@@ -57,32 +56,12 @@ def choose(faces: int) -> tuple[str, str]:
     return ("embree", f"{faces} faces") if why is None else ("bvh", f"{faces} faces; embree would be faster, but {why}")
 
 
-class Faces(eqx.Module):
-    """What is searched: faces (origin, e₁, e₂) by kind in `blocks`, their affine maps, instances of groups of them.
-
-    All about the scene's centre, groups about their own.
-    """
-
-    geometry: Any
-    maps: Any
-    counts: Any
-    blocks: tuple[int, ...] = eqx.field(static=True)
-    instances: Instances | None = None
-    groups: Any = None
-    copies: int = eqx.field(static=True, default=0)
-
-
-def build_search(faces: Faces, center: Any, epsilon: Any, plan: Any) -> Search:
-    """The search structure of a plan's backend over faces about `center`.
-
-    `epsilon`: how far rounding may move a surface point, m.
-    """
-    build, arrays = BACKENDS[plan.backend].build, (faces.geometry, faces.maps, faces.counts, faces.blocks)
-    if faces.instances is None:
-        return build(*arrays, center, epsilon)
-    if plan.backend == "embree":
-        return embree.Embree.build(*arrays, center, epsilon, (faces.instances, faces.groups))
-    return WrittenOut.build(build, arrays, faces.instances, faces.copies, center, epsilon)
+def build_search(faces: Faces, plan: Any) -> Search:
+    """The search structure of a plan's backend. Embree alone has two levels; for others, instances are written out."""
+    backend = BACKENDS[plan.backend]
+    if faces.instances is None or backend is embree.Embree:
+        return backend.build(faces)
+    return WrittenOut.build(backend, faces, faces.instances)
 
 
 __all__ = ["BACKENDS", "Faces", "Search", "affine", "build_search", "choose", "refusal"]

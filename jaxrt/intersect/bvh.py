@@ -27,6 +27,7 @@ from ..compiler import one_function
 from ..vector import Vec3
 from .batch import in_a_row
 from .dense import Dense, allowed, flat_columns, flat_crossing, several
+from .faces import Faces
 
 WIDTH = 16  # children of a node: one vector of 512 bits
 LEAF = 32  # most triangles of a leaf, or twice as many where that saves a level
@@ -96,34 +97,27 @@ class Bvh(eqx.Module):
     rest: Dense  # all faces but the triangles
 
     @classmethod
-    def build(
-        cls,
-        geometry: Any,
-        maps: Any,
-        counts: Any,
-        blocks: tuple[int, ...],
-        center: Any,
-        epsilon: Any,
-        order: Any = None,
-    ) -> Bvh:
-        """Bounds and tables of faces (origin, e₁, e₂) by kind in `blocks`, arranged by their `order`. Pure.
+    def build(cls, faces: Faces, order: Any = None) -> Bvh:
+        """Bounds and tables of faces, the triangles arranged by their `order`. Pure; instances are not among them.
 
         Without an `order` one is made in a callback; with that of a scene before its vertices moved, this is a refit.
         """
+        epsilon, blocks, counts = faces.epsilon, faces.blocks, faces.counts
+        geometry, maps = (table[: blocks[0]] for table in (faces.geometry, faces.maps))
         if order is None:
-            triangles = jax.lax.stop_gradient(geometry[: blocks[0]])
+            triangles = jax.lax.stop_gradient(geometry)
             shape = jax.ShapeDtypeStruct(shape_of_order(blocks[0]), jnp.int32)
             order = jax.pure_callback(_order, shape, triangles, counts[0], vmap_method="sequential")
-        dense = Dense.build(geometry, maps, counts, blocks, center, epsilon, first_kind=1)
-        faces = jnp.where(order < counts[0], order, -1)
+        dense = Dense.build(faces, first_kind=1)
+        numbers = jnp.where(order < counts[0], order, -1)
         pad = lambda table: jnp.concatenate([table, jnp.zeros_like(table[:1], shape=(1, table.shape[1]))])
-        rows, edges = pad(flat_columns(maps[: blocks[0]], epsilon))[faces], pad(geometry[: blocks[0]])[faces]
+        rows, edges = pad(flat_columns(maps, epsilon))[numbers], pad(geometry)[numbers]
         # Where an inside test may reach out to, and the rounding of all that is computed from the box.
         o, a, b = edges[..., :3], edges[..., 3:6], edges[..., 6:9]
         out = jnp.minimum(2 * rows[..., 12:], 100.0)
         corners = jnp.stack([o - (a + b) * out, o + a + (2 * a - b) * out, o + b + (2 * b - a) * out])
         low, high = corners.min(0) - epsilon, corners.max(0) + epsilon
-        empty = ~((faces >= 0)[..., None] & (low <= high))
+        empty = ~((numbers >= 0)[..., None] & (low <= high))
         low, high = jnp.where(empty, jnp.inf, low).min(1), jnp.where(empty, -jnp.inf, high).max(1)
         levels = []
         while not levels or len(low) > 1:
@@ -132,7 +126,7 @@ class Bvh(eqx.Module):
             high = jnp.concatenate([high, jnp.full_like(high, -jnp.inf, shape=(more, 3))]).reshape(-1, WIDTH, 3)
             levels.insert(0, jnp.stack([low, high], 1).swapaxes(2, 3))
             low, high = low.min(1), high.max(1)
-        tree = Tree(jnp.concatenate(levels), rows.swapaxes(1, 2), faces, dense.least)
+        tree = Tree(jnp.concatenate(levels), rows.swapaxes(1, 2), numbers, dense.least)
         return cls(tree, dense)
 
     def closest(self, o: Vec3, d: Vec3, exclude: Any = None) -> Any:

@@ -11,6 +11,7 @@ from jaxtyping import Array, Int32
 from ..instances import Instances
 from ..vector import Vec3
 from .dense import affine, several
+from .faces import Faces
 
 
 class WrittenOut(eqx.Module):
@@ -23,11 +24,9 @@ class WrittenOut(eqx.Module):
     copies: int = eqx.field(static=True)
 
     @classmethod
-    def build(
-        cls, build: Any, arrays: tuple[Any, ...], instances: Instances, copies: int, center: Any, epsilon: Any
-    ) -> WrittenOut:
-        """`arrays`: geometry, maps, counts and blocks; `build`: of the search within; `copies`: most triangles."""
-        geometry, maps, counts, blocks = arrays
+    def build(cls, backend: Any, faces: Faces, instances: Instances) -> WrittenOut:
+        """`backend`: of the search within."""
+        geometry, counts, blocks, copies = faces.geometry, faces.counts, faces.blocks, faces.copies
         triangles, numbers = counts[0], instances.ends[-1]
         place = jnp.arange(blocks[0] + copies)
         own = place < triangles
@@ -39,11 +38,15 @@ class WrittenOut(eqx.Module):
         moved = [turn(o) + m[:, :, 3], turn(a), turn(b)]
         moved = jnp.where(own[:, None], jnp.concatenate([o, a, b], -1), jnp.concatenate(moved, -1))
         moved = jnp.where(real[:, None], moved, 0.0)
-        geometry = jnp.concatenate([moved, geometry[blocks[0] :]])
-        maps = jnp.concatenate([affine(moved[:, :3], moved[:, 3:6], moved[:, 6:]), maps[blocks[0] :]])
-        counts = counts.at[0].add(numbers)
-        search = build(geometry, maps, counts, (blocks[0] + copies, *blocks[1:]), center, epsilon)
-        return cls(search, triangles, numbers, blocks, copies)
+        within = Faces(
+            geometry=jnp.concatenate([moved, geometry[blocks[0] :]]),
+            maps=jnp.concatenate([affine(moved[:, :3], moved[:, 3:6], moved[:, 6:]), faces.maps[blocks[0] :]]),
+            counts=counts.at[0].add(numbers),
+            center=faces.center,
+            epsilon=faces.epsilon,
+            blocks=(blocks[0] + copies, *blocks[1:]),
+        )
+        return cls(backend.build(within), triangles, numbers, blocks, copies)
 
     def closest(self, o: Vec3, d: Vec3, exclude: Any = None) -> Any:
         """Number of the first face along the ray, −1 if none. `exclude`: faces to skip, one or several numbers."""

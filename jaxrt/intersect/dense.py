@@ -16,6 +16,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int32
 
 from ..vector import Vec3, cross, dot
+from .faces import Faces
 
 FLAT = ("triangle", "parallelogram", "disk")
 UNROLL = 6  # measured best on both jax 0.10 and 0.12 between 4 and 12
@@ -32,18 +33,10 @@ class Dense(eqx.Module):
     first_kind: int = eqx.field(static=True)  # kinds before it are searched elsewhere
 
     @classmethod
-    def build(
-        cls,
-        geometry: Any,
-        maps: Any,
-        counts: Any,
-        blocks: tuple[int, ...],
-        center: Any,
-        epsilon: Any,
-        first_kind: int = 0,
-    ) -> Dense:
-        """Tables from faces (origin, e₁, e₂) about the centre, (P, 9), by kind in `blocks`, and their `affine` maps."""
-        table = flat_columns(maps, epsilon)
+    def build(cls, faces: Faces, first_kind: int = 0) -> Dense:
+        """Tables of faces, from a kind on; instances are not among them."""
+        geometry, blocks = faces.geometry, faces.blocks
+        table = flat_columns(faces.maps, faces.epsilon)
         starts = [sum(blocks[:k]) for k in range(6)]
         flat = [table[starts[k] : starts[k + 1] if k >= first_kind else starts[k]] for k in range(3)]
         o, a, b = geometry[:, :3], geometry[:, 3:6], geometry[:, 6:9]
@@ -56,9 +49,9 @@ class Dense(eqx.Module):
             flat=tuple(flat),
             spheres=jnp.concatenate([o[ball], jnp.sum(a[ball] ** 2, -1, keepdims=True)], -1),
             cylinders=jnp.concatenate(tubes, -1),
-            counts=counts,
-            center=center,
-            least=-0.5 * epsilon,
+            counts=faces.counts,
+            center=faces.center,
+            least=-0.5 * faces.epsilon,
             blocks=blocks,
             first_kind=first_kind,
         )

@@ -22,11 +22,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, UInt32
 
-from ..instances import Instances
 from ..vector import Vec3
 from .batch import in_a_row
 from .dense import Dense, affine, flat_columns, several
 from .embree_scene import token as scene_token
+from .faces import Faces
 
 
 class Embree(eqx.Module):
@@ -38,35 +38,25 @@ class Embree(eqx.Module):
     least: Float[Array, ""]
 
     @classmethod
-    def build(
-        cls,
-        geometry: Any,
-        maps: Any,
-        counts: Any,
-        blocks: tuple[int, ...],
-        center: Any,
-        epsilon: Any,
-        copies: tuple[Instances, Any] | None = None,
-    ) -> Embree:
-        """As `Dense.build`; builds Embree's scene in a callback, so it works under jit, grad and vmap.
+    def build(cls, faces: Faces) -> Embree:
+        """Builds Embree's scene in a callback, so it works under jit, grad and vmap.
 
-        `copies`: instances, about the centre, and their groups, in which faces reach out by the same in the world.
+        Faces of groups reach out by what is the tolerance in the world where their smallest instance stands.
         """
+        geometry, blocks, instances = faces.geometry, faces.blocks, faces.instances
         o, a, b = geometry[:, :3], geometry[:, 3:6], geometry[:, 6:9]
-        reach = epsilon if copies is None else epsilon / copies[0].smallest_scale(copies[1])
-        s = flat_columns(maps, reach)[:, 12:]
+        reach = faces.epsilon if instances is None else faces.epsilon / instances.smallest_scale()
+        s = flat_columns(faces.maps, reach)[:, 12:]
         at = lambda f, g: o + a * f + b * g
         t, q = slice(0, blocks[0]), slice(blocks[0], sum(blocks[:2]))
         triangles = jnp.stack([at(-s, -s), at(1 + 2 * s, -s), at(-s, 1 + 2 * s)], 1)[t]
         quads = jnp.stack([at(-s, -s), at(1 + s, -s), at(1 + s, 1 + s), at(-s, 1 + s)], 1)[q]
         shape = jax.ShapeDtypeStruct((2,), jnp.uint32)
-        rest = Dense.build(geometry, maps, counts, blocks, center, epsilon, first_kind=2)
-        arrays = [triangles.astype(jnp.float32), quads.astype(jnp.float32), counts[:2], jnp.int32(sum(blocks))]
-        if copies is not None:
-            instances, _ = copies
-            arrays += [instances.first, instances.counts, instances.to_world[:-1].astype(jnp.float32)]
+        arrays = [triangles.astype(jnp.float32), quads.astype(jnp.float32), faces.counts[:2], jnp.int32(sum(blocks))]
+        if instances is not None:
+            arrays += [instances.groups, instances.group, instances.to_world[:-1].astype(jnp.float32)]
         token = jax.pure_callback(scene_token, shape, *jax.lax.stop_gradient(arrays), vmap_method="sequential")
-        return cls(token, rest, center, -0.5 * epsilon)
+        return cls(token, Dense.build(faces, first_kind=2), faces.center, -0.5 * faces.epsilon)
 
     def closest(self, o: Vec3, d: Vec3, exclude: Any = None) -> Any:
         """Number of the first face along the ray, −1 if none. `exclude`: faces to skip, one or several numbers."""
@@ -120,7 +110,8 @@ def _probe(geometry: Any) -> Any:
     """What three rays meet of one triangle: its number twice, and nothing."""
     maps = affine(geometry[:, :3], geometry[:, 3:6], geometry[:, 6:9])
     counts = jnp.asarray([1, 0, 0, 0, 0], jnp.int32)
-    search = Embree.build(geometry, maps, counts, (1, 0, 0, 0, 0), jnp.zeros(3, jnp.float32), jnp.float32(1e-6))
+    center, epsilon = jnp.zeros(3, jnp.float32), jnp.float32(1e-6)
+    search = Embree.build(Faces(geometry, maps, counts, center, epsilon, (1, 0, 0, 0, 0)))
     o = Vec3(jnp.asarray([0.2, 0.7, 0.2], jnp.float32), jnp.full(3, 0.2), jnp.zeros(3))
     return jax.vmap(search.closest)(o, Vec3(jnp.zeros(3), jnp.zeros(3), jnp.asarray([1.0, 1.0, -1.0])))
 

@@ -78,20 +78,20 @@ _lock = threading.Lock()
 def token(triangles: Any, quads: Any, counts: Any, rows: Any, *copies: Any) -> np.ndarray:
     """The address of the record of a scene with these corners, (T, 3, 3) and (Q, 4, 3), of which `counts` are used.
 
-    `rows`: of the tables, behind which the numbers of instances start. `copies`: the first triangle of each
-    instance, how many it has, and its matrix.
+    `rows`: of the tables, behind which the numbers of instances start. `copies`: the groups (first triangle, how
+    many), the group of each instance, −1 for none, and its matrix.
     """
     triangles, quads, counts = np.asarray(triangles), np.asarray(quads), np.asarray(counts)
-    first, sizes, places = map(np.asarray, copies or (np.zeros(0, int), np.zeros(0, int), np.zeros((0, 12))))
-    groups = [np.ascontiguousarray(triangles[a : a + n]) for a, n in sorted(set(zip(first, sizes, strict=True))) if n]
+    ranges, group, places = map(np.asarray, copies or (np.zeros((0, 2), int), np.zeros(0, int), np.zeros((0, 12))))
+    groups = [np.ascontiguousarray(triangles[a : a + n]) for a, n in ranges]
     used = [np.ascontiguousarray(a[:n]) for a, n in zip((triangles, quads), counts, strict=True)]
     content = hashlib.blake2b(np.asarray([len(triangles), int(rows), *counts], np.int64).tobytes(), digest_size=16)
-    for a in (*used, *groups, *map(np.ascontiguousarray, (first, sizes, places))):
+    for a in (*used, *groups, *map(np.ascontiguousarray, (ranges, group, places))):
         content.update(a.data)
     with _lock:
         kept = _scenes.get(content.digest())
         if kept is None:
-            kept = _build(used[0], used[1], len(triangles), int(rows), groups, first, sizes, places)
+            kept = _build(used[0], used[1], len(triangles), int(rows), groups, group, places)
             _scenes[content.digest()] = kept
             _let_go()
         _scenes.move_to_end(content.digest())
@@ -141,8 +141,7 @@ def _build(
     first_quad: int,
     rows: int,
     groups: list[np.ndarray],
-    first: np.ndarray,
-    sizes: np.ndarray,
+    group: np.ndarray,
     places: np.ndarray,
 ) -> _Kept:
     """Quads go in as two triangles each: a second kind of geometry would be a second search for every ray."""
@@ -152,24 +151,23 @@ def _build(
     triangles = np.concatenate([triangles, quads[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 3, 3)])
     scene = _scene()
     _mesh(scene, triangles)
-    inner = {}
-    for key, corners in zip([k for k in sorted(set(zip(first, sizes, strict=True))) if k[1]], groups, strict=True):
-        inner[key] = _scene()
-        _mesh(inner[key], corners)
-        library.rtcCommitScene(inner[key])
-    for k, key in enumerate(zip(first, sizes, strict=True)):
-        if key in inner:
-            geometry = library.rtcNewGeometry(_device(), INSTANCE)
-            library.rtcSetGeometryInstancedScene(geometry, inner[key])
-            library.rtcSetGeometryTransform(geometry, 0, FLOAT3X4, np.ascontiguousarray(places[k]).ctypes.data)
-            _attach(scene, geometry, k + 1)
+    inner = [_scene() for _ in groups]
+    for within, corners in zip(inner, groups, strict=True):
+        _mesh(within, corners)
+        library.rtcCommitScene(within)
+    for k in np.flatnonzero(group >= 0):
+        geometry = library.rtcNewGeometry(_device(), INSTANCE)
+        library.rtcSetGeometryInstancedScene(geometry, inner[group[k]])
+        library.rtcSetGeometryTransform(geometry, 0, FLOAT3X4, np.ascontiguousarray(places[k]).ctypes.data)
+        _attach(scene, geometry, int(k) + 1)
     library.rtcCommitScene(scene)
-    for group in inner.values():
-        library.rtcReleaseScene(group)  # the instances hold it
+    for within in inner:
+        library.rtcReleaseScene(within)  # the instances hold it
     address = lambda f: ctypes.cast(f, ctypes.c_void_p).value or 0
     system = ctypes.CDLL(None) if os.name == "posix" else None
     message = ctypes.create_string_buffer(GONE)
-    starts = rows + np.cumsum(np.concatenate([[0], sizes])).astype(np.int64)
+    sizes = [len(groups[g]) if g >= 0 else 0 for g in group]
+    starts = rows + np.cumsum([0, *sizes]).astype(np.int64)
     words = {
         "scene": scene,
         "closest": address(getattr(library, f"rtcIntersect{PACKET}")),
@@ -187,4 +185,4 @@ def _build(
     }
     record = np.array([words[name] for name in RECORD], np.int64)
     _records.append((record, message, starts))
-    return _Kept(scene, len(triangles) + sum(map(len, groups)) + 4 * len(first), record)
+    return _Kept(scene, len(triangles) + sum(map(len, groups)) + 4 * len(group), record)

@@ -11,6 +11,7 @@ from helpers import edges_of, icosphere, sphere_directions
 from jaxrt.intersect import affine
 from jaxrt.intersect.bvh import LEAF, Bvh, order
 from jaxrt.intersect.dense import Dense
+from jaxrt.intersect.faces import Faces
 from jaxrt.vector import Vec3
 
 RAYS = 4096
@@ -30,7 +31,7 @@ def build(backend, geometry, counts, blocks, order=None):
     geometry = jnp.concatenate([geometry[:, :3] - center[None], geometry[:, 3:]], -1)
     maps = affine(geometry[:, :3], geometry[:, 3:6], geometry[:, 6:9])
     more = () if backend is Dense else (order,)
-    return backend.build(geometry, maps, jnp.array(counts), blocks, center, epsilon, *more)
+    return backend.build(Faces(geometry, maps, jnp.array(counts), center, epsilon, blocks), *more)
 
 
 def table(*kinds):
