@@ -48,6 +48,7 @@ if TYPE_CHECKING:
     from .rules import BrdfRule, LightRule, MisRule, QuadratureRule
     from .sampling.sobol import Stream
     from .scene import Scene, params, with_params
+    from .solver.field import Field, elements_of, solve
     from .solver.measure import irradiance, measure, radiance
     from .solver.render import render, resized
     from .solver.solution import Solution, relative_mse
@@ -64,6 +65,7 @@ _HOMES = {
     "rules": "BrdfRule LightRule MisRule QuadratureRule",
     "sampling.sobol": "Stream",
     "scene": "Scene params with_params",
+    "solver.field": "Field elements_of solve",
     "solver.measure": "irradiance measure radiance",
     "solver.render": "render resized",
     "solver.solution": "Solution relative_mse",
@@ -95,6 +97,7 @@ __all__ = [
     "Diffuse",
     "Disk",
     "Enclosure",
+    "Field",
     "Film",
     "G",
     "Group",
@@ -121,6 +124,7 @@ __all__ = [
     "add",
     "adjoint",
     "compose",
+    "elements_of",
     "emission",
     "estimate",
     "inner",
@@ -137,6 +141,7 @@ __all__ = [
     "relative_mse",
     "render",
     "resized",
+    "solve",
     "sub",
     "with_params",
 ]

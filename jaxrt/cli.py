@@ -164,7 +164,7 @@ def _parser() -> argparse.ArgumentParser:
     add("-o", "--output", metavar="out.exr", help="the EXR, or the PNG beside it; default: the scene's name, here")
     add("--spp", metavar="N", type=_whole(1), help="samples a pixel; default: what the scene asks")
     add("--max-depth", metavar="D", type=_whole(-1), help="1: emission only, 2: direct light, ..., -1: no end")
-    add("--method", choices=("auto", "path"), default="auto", help="how the equation is solved")
+    add("--method", choices=("auto", "path", "field"), default="auto", help="how the equation is solved")
     add("--seed", metavar="S", type=_whole(0, (1 << 62)), default=0, help="the same seed gives the same picture")
     add("--size", metavar="WxH", type=_size, help="size of the picture in pixels")
     add("--sensor", metavar="I", type=_whole(0), default=0, help="number of the scene's sensor, from 0")

@@ -38,20 +38,23 @@ def programs() -> int:
     return len(_programs)
 
 
-def program(f: Callable[..., Any], *like: Any, keep: bool = True) -> Callable[..., Any]:
+def program(f: Callable[..., Any], *like: Any, static: tuple[Any, ...] = (), keep: bool = True) -> Callable[..., Any]:
     """f compiled for arguments like these (arrays or shapes); equal structures and shapes share one program.
 
-    `keep`: whether later processes may have it, which programs that call back into Python do not allow.
+    `static`: f's last arguments, which are not arrays; the program is called without them. `keep`: whether later
+    processes may have it, which programs that call back into Python do not allow.
     """
     leaves, tree = jax.tree.flatten(like)
     shapes = tuple((tuple(leaf.shape), str(leaf.dtype)) for leaf in leaves)
-    key = (f, tree, shapes)
+    key = (f, tree, shapes, static)
     if key not in _programs:
-        _programs[key] = _make(f, leaves, tree, _file(f, tree, shapes) if keep else None)
+        _programs[key] = _make(f, leaves, tree, static, _file(f, tree, (shapes, static)) if keep else None)
     return _programs[key]
 
 
-def _make(f: Callable[..., Any], leaves: list[Any], tree: Any, file: Path | None) -> Callable[..., Any]:
+def _make(
+    f: Callable[..., Any], leaves: list[Any], tree: Any, static: tuple[Any, ...], file: Path | None
+) -> Callable[..., Any]:
     from jax.experimental import serialize_executable
 
     compiled, out = None, None
@@ -65,7 +68,7 @@ def _make(f: Callable[..., Any], leaves: list[Any], tree: Any, file: Path | None
         trees: list[Any] = []
 
         def flat(*leaves: Any) -> list[Any]:
-            values, structure = jax.tree.flatten(f(*jax.tree.unflatten(tree, leaves)))
+            values, structure = jax.tree.flatten(f(*jax.tree.unflatten(tree, leaves), *static))
             trees.append(structure)
             return values
 

@@ -41,6 +41,13 @@ def balance(a: Any, b: Any) -> Any:
     return jnp.where(total > 0, a / jnp.where(total > 0, total, 1.0), 0.0)
 
 
+def met_share(world: World, x: SurfacePoint, o: Vec3, d: Vec3, pdf: Any, delta: Any) -> Any:
+    """Weight of emission met at x along a ray drawn by reflection, against the chance of having drawn it as a light."""
+    if not world.plan.lights:
+        return 1.0
+    return sg(jnp.where(delta, 1.0, balance(pdf, emitter.density(world, o, x, d))))
+
+
 def reflected(world: World, at: Shading, w: Vec3) -> Spectrum:
     """f_r cosθ for a direction of the world."""
     wi = at.to_local(w)

@@ -8,7 +8,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from .brdf import Material, MaterialColumns
+from .brdf import LOBES, Material, MaterialColumns
 from .scene import KINDS
 from .vector import Frame, Spectrum, Vec3, cross, dot, normalise, safe_sqrt, where
 from .world import FACE, World
@@ -179,6 +179,14 @@ def shading_at(world: World, x: SurfacePoint, wo: Vec3) -> Shading:
         side = jnp.ones_like(wo.x)
     v = frame.to_local(wo)
     return Shading(frame, side, material, Vec3(v.x, v.y, v.z * side))
+
+
+def is_diffuse(world: World, at: Shading) -> Any:
+    """Whether a point reflects alike in all directions."""
+    if world.plan.lobes == ("diffuse",):
+        return True
+    lobe = at.material.lobe
+    return False if lobe is None else jnp.round(lobe) == LOBES["diffuse"].number
 
 
 def leave(world: World, x: SurfacePoint, w: Vec3) -> Vec3:

@@ -20,7 +20,7 @@ _LARGEST = 1 << 15  # pixels to a side, as `Film` has it; a damaged header may c
 
 
 @contextlib.contextmanager
-def _replacing(path: str | Path) -> Iterator[str]:
+def replacing(path: str | Path) -> Iterator[str]:
     """A temporary name beside `path`, which takes its place at the end: never a half-written file.
 
     Mistakes of the user (no such folder, no permission, no space) become `SceneError`.
@@ -87,7 +87,7 @@ def write_exr(
                 f"attribute {key!r}: {str(value)[:40]!r} cannot go into an EXR header; rename it or give text"
             )
         header[key] = str(value) if isinstance(value, int) and not -(1 << 31) <= value < 1 << 31 else value
-    with _replacing(path) as temporary, OpenEXR.File(header, channels) as file:
+    with replacing(path) as temporary, OpenEXR.File(header, channels) as file:
         file.write(temporary)
 
 
@@ -166,5 +166,5 @@ def write_png(path: str | Path, image: np.ndarray, exposure: float = 0.0) -> Non
     import PIL.Image
 
     picture = PIL.Image.fromarray(to_srgb(image, exposure))
-    with _replacing(path) as temporary:
+    with replacing(path) as temporary:
         picture.save(temporary, format="PNG")

@@ -19,6 +19,7 @@ from ..sampling.sobol import seed_of
 from ..scene import Scene, in_working_precision
 from ..world import World, prepare
 from . import path
+from .begin import Meters, Rays, View
 
 LANES = 512
 """Rays in flight in one program: all that a bounce touches fits a core's cache (256 to 1024 measured alike)."""
@@ -29,6 +30,9 @@ APART = 2048
 WIDE = 8192
 """Rays in flight where a program pays for starting each kernel: under differentiation."""
 
+FOLLOWED = 8
+"""Landings up to which derivatives follow paths that end in a field."""
+
 PASS = 256
 """Samples a pixel that are summed plainly; sums of passes are compensated."""
 
@@ -38,7 +42,7 @@ def lanes_of(plan: Plan) -> int:
     return LANES if plan.backend == "dense" else APART
 
 
-def view_of(scene: Scene, sensor: int) -> path.View:
+def view_of(scene: Scene, sensor: int) -> View:
     """Sensor number `sensor` as the loop sees it. Raises `SceneError` if there is none."""
     sensors = scene.structure.sensors
     if not -len(sensors) <= sensor < len(sensors):
@@ -46,7 +50,7 @@ def view_of(scene: Scene, sensor: int) -> path.View:
         raise SceneError(f"{source}: has {len(sensors)} sensors, no number {sensor}; count from 0")
     structure = sensors[sensor]
     width, height = structure.film[:2]
-    return path.View(scene.sensor_to_world[sensor], scene.lens[sensor], width, height, structure.sized(0, 0))
+    return View(scene.sensor_to_world[sensor], scene.lens[sensor], width, height, structure.sized(0, 0))
 
 
 def depths_of(scene: Scene, max_depth: int | None, rr_depth: int | None = None) -> path.Depths:
@@ -92,48 +96,52 @@ def _compensated(step: Any, start: Any, count: int) -> Any:
 
 
 @eqx.filter_custom_jvp
-def _means(world: World, begin: Any, depths: path.Depths, seed: Any, numbers: Any, spp: int, steps: int) -> Any:
+def _means(
+    world: World, begin: Any, depths: path.Depths, seed: Any, field: Any, numbers: Any, spp: int, steps: int
+) -> Any:
     """Means of lanes (chunks, lanes) -> (chunks, lanes, C), by the loop without reverse mode."""
 
-    def chunk(world: World, begin: Any, depths: path.Depths, seed: Any, row: Any) -> Any:
+    def chunk(world: World, begin: Any, depths: path.Depths, seed: Any, field: Any, row: Any) -> Any:
         def one(k: Any) -> Any:
-            return path.trace(world, begin, depths, seed, row, k * PASS, jnp.minimum((k + 1) * PASS, spp))[0].sum(1)
+            last = jnp.minimum((k + 1) * PASS, spp)
+            return path.trace(world, begin, depths, seed, row[:, None], k * PASS, last, field)[0].sum((1, 2))
 
         start = jnp.zeros((row.shape[0], world.plan.channels), world.faces.dtype)
         return _compensated(one, start, -(-spp // PASS)) / spp
 
-    return _over_devices(chunk, numbers, world, begin, depths, seed)
+    return _over_devices(chunk, numbers, world, begin, depths, seed, field)
 
 
 @_means.def_jvp
 def _means_jvp(primals: Any, tangents: Any) -> Any:
-    world, begin, depths, seed, numbers, spp, steps = primals
+    world, begin, depths, seed, field, numbers, spp, steps = primals
+    steps = FOLLOWED if field is not None and not 0 <= steps <= FOLLOWED else steps
     if steps < 0:
         raise ValueError("measure: derivatives need a finite number of bounces; give max_depth= (1 is emission only)")
 
     lanes = max(1, WIDE // numbers.shape[1]) * numbers.shape[1]
     wide = _chunks(numbers.reshape(-1), lanes)
 
-    def chunk(world: World, begin: Any, depths: path.Depths, seed: Any, row: Any) -> Any:
-        return path.trace_fixed(world, begin, steps, depths, seed, row, spp)
+    def chunk(world: World, begin: Any, depths: path.Depths, seed: Any, field: Any, row: Any) -> Any:
+        return path.trace_fixed(world, begin, steps, depths, seed, row, spp, field)
 
-    def fixed(world: World, begin: Any) -> Any:
-        values = _over_devices(chunk, wide, world, begin, depths, seed)
+    def fixed(world: World, begin: Any, field: Any) -> Any:
+        values = _over_devices(chunk, wide, world, begin, depths, seed, field)
         return values.reshape(-1, values.shape[-1])[: numbers.size].reshape(*numbers.shape, -1)
 
-    return eqx.filter_jvp(fixed, (world, begin), (tangents[0], tangents[1]))
+    return eqx.filter_jvp(fixed, (world, begin, field), (tangents[0], tangents[1], tangents[4]))
 
 
 @functools.partial(jax.jit, static_argnames=("n", "spp", "max_depth"))
 def _pixels(
-    scene: Scene, plan: Plan, begin: Any, key: Any, depths: path.Depths, *, n: int, spp: int, max_depth: int
+    scene: Scene, plan: Plan, begin: Any, key: Any, depths: path.Depths, field: Any, *, n: int, spp: int, max_depth: int
 ) -> Any:
     """Means of lanes 0..n−1, (n, C); compiled once for scenes and beginnings of one structure."""
     scene, begin = in_working_precision((scene, begin))
     world = prepare(scene, plan)
     numbers = _chunks(jnp.arange(n, dtype=jnp.int32), lanes_of(plan))
     steps = max_depth + 2 * plan.hide_emitters if max_depth > 0 else max_depth  # to pass both sides of a lamp
-    values = _means(world, begin, depths, seed_of(key), numbers, spp, steps)
+    values = _means(world, begin, depths, seed_of(key), field, numbers, spp, steps)
     return jnp.broadcast_to(values.reshape(-1, plan.channels)[:n], (n, plan.out_channels))
 
 
@@ -152,12 +160,14 @@ def measure(
     max_depth: int | None = None,
     rr_depth: int | None = None,
     sensor: int = 0,
+    radiance: Any = None,
 ) -> Float[Array, "height width channels"]:
     """A picture, as a pure function of scene and key: jit, grad, jvp and vmap apply.
 
     `key`: a JAX key or an integer. `plan`: `jaxrt.plan(scene)`, made before tracing; the scene's own by
     default. `spp`: samples a pixel. `max_depth`: as Mitsuba counts it (1: emission only, −1: no end, which
-    derivatives refuse); the scene's own by default. Radiance in W·m⁻²·sr⁻¹, averaged over each pixel's filter.
+    derivatives refuse); the scene's own by default. `radiance`: a `Field` in which paths end, from `jaxrt.solve` to
+    the same depth; derivatives then are those of both. Radiance in W·m⁻²·sr⁻¹, averaged over each pixel's filter.
 
     Derivatives hold samples fixed (design: interior terms). They are right where no visibility edge moves;
     second derivatives where no geometry moves at all.
@@ -166,7 +176,11 @@ def measure(
     view, depths = view_of(scene, sensor), depths_of(scene, max_depth, rr_depth)
     width, height = view.width, view.height
     n = width * height
-    image = _pixels(scene, plan, view, key, depths, n=n, spp=spp, max_depth=depths.max_depth)
+    if radiance is not None and radiance.max_depth != depths.max_depth:
+        has, asked = radiance.max_depth, depths.max_depth
+        raise SceneError(f"radiance: the field is of max_depth {has}, the picture of {asked}; give one for both")
+    field = None if radiance is None else radiance.stored
+    image = _pixels(scene, plan, view, key, depths, field, n=n, spp=spp, max_depth=depths.max_depth)
     return image.reshape(height, width, -1)
 
 
@@ -194,7 +208,7 @@ def radiance(
     Pure like `measure`, and differentiable as it is, in points and directions too.
     """
     o, d, batch = _rays(points, directions)
-    return _along(scene, path.Rays(o, d), key, plan, spp, max_depth).reshape(*batch, -1)
+    return _along(scene, Rays(o, d), key, plan, spp, max_depth).reshape(*batch, -1)
 
 
 def irradiance(
@@ -212,7 +226,7 @@ def irradiance(
     Pure like `measure`, and differentiable as it is, in points and normals too.
     """
     o, n, batch = _rays(points, normals)
-    return _along(scene, path.Meters(o, n), key, plan, spp, max_depth).reshape(*batch, -1)
+    return _along(scene, Meters(o, n), key, plan, spp, max_depth).reshape(*batch, -1)
 
 
 def _along(scene: Scene, begin: Any, key: Any, plan: Plan | None, spp: int, max_depth: int | None) -> Any:
@@ -221,7 +235,7 @@ def _along(scene: Scene, begin: Any, key: Any, plan: Plan | None, spp: int, max_
     n = begin.points.shape[0]
     if n == 0:
         return jnp.zeros((0, plan.out_channels), scene.vertices.dtype)
-    return _pixels(scene, plan, begin, key, depths, n=n, spp=spp, max_depth=depths.max_depth)
+    return _pixels(scene, plan, begin, key, depths, None, n=n, spp=spp, max_depth=depths.max_depth)
 
 
 __all__ = ["LANES", "PASS", "depths_of", "irradiance", "measure", "radiance", "view_of"]

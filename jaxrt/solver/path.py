@@ -8,24 +8,20 @@ from __future__ import annotations
 
 import functools
 from dataclasses import replace
-from typing import Any, ClassVar
+from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax.lax import stop_gradient as sg
 
 from .. import emitter
 from ..compiler import one_function
 from ..gradient import material
-from ..rules import balance, light_node, reflected, reflection_density, reflection_node
+from ..rules import balance, light_node, met_share, reflected, reflection_density, reflection_node
 from ..sampling.sobol import Drawn, Stream, combine
-from ..sampling.warp import cosine_hemisphere
-from ..scene import SensorStructure
-from ..sensor import camera, film
-from ..surface import Shading, SurfacePoint, leave, radiance_of, shading_at, surface_point
-from ..vector import Frame, Spectrum, Vec3, dot, normalise, where
+from ..surface import Shading, SurfacePoint, is_diffuse, leave, radiance_of, shading_at, surface_point
+from ..vector import Spectrum, Vec3, dot, where
 from ..world import World
 
 SETS = 4
@@ -52,10 +48,11 @@ class PathState(eqx.Module):
     radiance: Spectrum
     pdf: Any  # density of d, sr⁻¹
     delta: Any  # whether d came from a delta lobe or the camera
-    depth: Any  # edges so far
+    depth: Any  # edges so far; −1 where the first landing is the path's own beginning, whose emission is not its light
     alive: Any
     before: Vec3 | None = None  # under differentiation: the point that reflected last, and its `slope`
     slopes: tuple[Vec3, ...] | None = None
+    scattered: Any = None  # with a field: whether the path has left a diffuse surface
 
 
 def start(world: World, o: Vec3, d: Vec3) -> PathState:
@@ -91,19 +88,28 @@ def _part(world: World, state: PathState, searches: bool = False) -> Any:
     return one_function if apart else lambda f: f
 
 
-def bounce(world: World, depths: Depths, state: PathState, s: Stream) -> PathState:
-    """One step of a path: land, collect emission and direct light, reflect."""
-    part = _part(world, state)
-    face = world.settle(world.search.closest(state.o, state.d))  # ψ: where the ray lands
-    landing = part(_land)(world, depths, state, s, face)
-    blocked = None
-    if landing.light is not None:
-        blocked = hidden(world, landing.origin, landing.light, landing.asked)
-    return part(_reflect)(world, depths, state, landing, blocked)
+def bounce(world: World, depths: Depths, state: PathState, s: Stream, face: Any = None) -> PathState:
+    """One step of a path: land (on `face`, where that is known), collect emission and direct light, reflect."""
+    return reflect(world, depths, state, land(world, depths, state, s, face))
+
+
+def land(world: World, depths: Depths, state: PathState, s: Stream, face: Any = None) -> Landing:
+    """Where a path lands, with the emission met there and a light sample."""
+    if face is None:
+        face = world.settle(world.search.closest(state.o, state.d))  # ψ: where the ray lands
+    landing = _part(world, state)(_land)(world, depths, state, s, face)
+    if landing.light is None:
+        return landing
+    return replace(landing, blocked=hidden(world, landing.origin, landing.light, landing.asked))
+
+
+def reflect(world: World, depths: Depths, state: PathState, landing: Landing, node: Any = None) -> PathState:
+    """The path after its landing: light that is not blocked, the next direction (or `node`), roulette."""
+    return _part(world, state)(_reflect)(world, depths, state, landing, node)
 
 
 class Landing(eqx.Module):
-    """A path at a surface, before it is known whether its light sample is hidden."""
+    """A path at a surface, before it goes on."""
 
     x: SurfacePoint
     s: Any
@@ -115,6 +121,7 @@ class Landing(eqx.Module):
     light: emitter.LightSample | None = None
     asked: Any = None  # whether the sample may carry radiance
     lit: Spectrum | None = None  # what it adds unless it is hidden
+    blocked: Any = None  # whether it is
 
 
 def _land(world: World, depths: Depths, state: PathState, s: Stream, face: Any) -> Landing:
@@ -126,14 +133,12 @@ def _land(world: World, depths: Depths, state: PathState, s: Stream, face: Any) 
     x = replace(x, position=p, normal=n, shading=ns, tangent=tangent, distance=t, finish=finish, light_density=density)
     wo = -state.d
     # Emission met by reflection, weighted against the chance of having drawn it as a light.
-    share = 1.0
-    if plan.lights:
-        share = sg(jnp.where(state.delta, 1.0, balance(state.pdf, emitter.density(world, state.o, x, state.d))))
+    share = met_share(world, x, state.o, state.d, state.pdf, state.delta)
     passed = jnp.zeros_like(state.alive)
     if plan.hide_emitters:
         emits = (x.light_density > 0) | (x.face < 0)
         passed = state.alive & (state.depth == 0) & depths.hide_emitters & emits
-    seen = state.alive & ~passed & (depths.max_depth != 0)
+    seen = state.alive & ~passed & (depths.max_depth != 0) & (state.depth >= 0)
     met = state.beta * radiance_of(world, x, wo) * share
     if state.before is not None and state.slopes is not None and plan.lights:
         met = met * material.met(world, state.before, x, state.slopes, seen & ~state.delta & (x.light_density > 0))
@@ -155,16 +160,15 @@ def _land(world: World, depths: Depths, state: PathState, s: Stream, face: Any) 
     return replace(landing, at=at, origin=leave(world, x, node.w), light=light, asked=asked, lit=lit)
 
 
-def _reflect(world: World, depths: Depths, state: PathState, landing: Landing, blocked: Any) -> PathState:
-    """The path after its landing: light that is not blocked, the next direction, roulette."""
+def _reflect(world: World, depths: Depths, state: PathState, landing: Landing, node: Any = None) -> PathState:
     x, at, s, alive, radiance = landing.x, landing.at, landing.s, landing.alive, landing.radiance
     depth = state.depth + 1
     if at is None:
         return _through(world, state, landing, replace(state, radiance=radiance, depth=depth, alive=alive & False))
     if landing.lit is not None:
-        radiance = radiance + landing.lit.map(lambda c: jnp.where(alive & ~blocked, c, 0.0))
+        radiance = radiance + landing.lit.map(lambda c: jnp.where(alive & ~landing.blocked, c, 0.0))
     # Reflection: the next direction.
-    node = world.settle(reflection_node(world, at, s))
+    node = world.settle(reflection_node(world, at, s)) if node is None else node
     beta = state.beta * node.weight
     # Russian roulette from rr_depth on.
     most = sg(beta.max())
@@ -177,6 +181,8 @@ def _reflect(world: World, depths: Depths, state: PathState, landing: Landing, b
     if state.before is None and not world.plan.enclosure:  # the last ray can only meet a lamp
         alive = alive & ((depth + 1 != depths.max_depth) | emitter.may_meet(world, o, node.w))
     follow = PathState(o, node.w, beta, radiance, node.pdf, node.delta, depth, alive)
+    if state.scattered is not None:
+        follow = replace(follow, scattered=state.scattered | is_diffuse(world, at))
     if state.before is not None:
         slopes = material.slope(functools.partial(reflected, world), at, node.w)
         follow = replace(follow, before=x.position, slopes=slopes)
@@ -191,148 +197,161 @@ def _through(world: World, state: PathState, landing: Landing, follow: PathState
     return where(through, replace(state, o=leave(world, landing.x, state.d), alive=through), follow)
 
 
-def sample_stream(seed: Any, pixel: Any, i: Any) -> Stream:
-    """Sample i of a pixel: point i div 4 of the pixel's set i mod 4."""
+def sample_stream(seed: Any, pixel: Any, i: Any, sets: int = SETS) -> Stream:
+    """Sample i of a pixel: point i div `sets` of the pixel's set i mod `sets`."""
     i = i.astype(jnp.uint32)
-    return Stream(i // SETS, combine(combine(seed, pixel), i % SETS))
+    return Stream(i // sets, combine(combine(seed, pixel), i % sets))
 
 
 def bounce_stream(s: Stream, depth: Any) -> Stream:
     return Stream(s.index, s.seed, (CAMERA_PAIRS + BOUNCE_PAIRS * depth).astype(jnp.uint32))
 
 
-class View(eqx.Module):
-    """Paths of a sensor's pixels (row · width + column). What is compiled of it is static."""
-
-    to_world: Any
-    lens: Any
-    width: Any
-    height: Any
-    sensor: SensorStructure = eqx.field(static=True)
-    searches: ClassVar[bool] = False
-
-    def __call__(self, world: World, number: Any, s: Stream) -> PathState:
-        column, row = (k.astype(self.lens.dtype) for k in (number % self.width, number // self.width))
-        pixel = film.pixel(self.sensor.film, column, row, self.width, self.height)
-        at = world.settle(film.sample(self.sensor.film, pixel, s.pair_at(0)))
-        u = s.pair_at(1) if camera.uses_lens(self.sensor) else None
-        return start(world, *camera.ray(self.sensor, self.to_world, self.lens, (self.width, self.height), at, u))
-
-
-class Rays(eqx.Module):
-    """Paths along given rays, (N, 3) each."""
-
-    points: Any
-    directions: Any
-    searches: ClassVar[bool] = False
-
-    def __call__(self, world: World, number: Any, s: Stream) -> PathState:
-        return start(world, Vec3.of(self.points[number]), normalise(Vec3.of(self.directions[number])))
-
-
-class Meters(eqx.Module):
-    """Paths that end at irradiance meters: β = π by cosine sampling, and a light sample already counted."""
-
-    points: Any
-    normals: Any
-    searches: ClassVar[bool] = True
-
-    def frame(self, world: World, number: Any) -> tuple[Vec3, Frame]:
-        frame = Frame.around(normalise(Vec3.of(self.normals[number])))
-        return Vec3.of(self.points[number]) + frame.n * world.epsilon, frame
-
-    def __call__(self, world: World, number: Any, s: Stream) -> PathState:
-        at, frame = self.frame(world, number)
-        local = cosine_hemisphere(s.pair_at(0))
-        w = sg(frame.to_world(local))
-        cos = dot(frame.n, w)
-        begun = start(world, at, w)
-        beta = begun.beta * (np.pi * cos / sg(cos))
-        begun = replace(begun, beta=beta, pdf=sg(cos) / np.pi, delta=begun.delta & False)
-        if not world.plan.lights:
-            return begun
-        light = emitter.sample(world, at, s.child(3), 1)
-        cos = dot(frame.n, light.w)
-        ok = (light.pdf > 0) & (cos > 0)
-        ok = ok & ~hidden(world, at, light, ok)
-        share = sg(balance(light.pdf, jnp.maximum(cos, 0.0) / np.pi))
-        scale = jnp.where(ok, cos * light.jacobian * share / jnp.where(ok, light.pdf, 1.0), 0.0)
-        return replace(begun, radiance=light.radiance * scale)
-
-
 def _attached(world: World, begin: Any, number: Any, path: PathState) -> PathState:
     """A path that knows the point that reflected last, as derivatives need it; a meter reflects like white paint."""
     none = Vec3(*(0.0 * c for c in path.o))
     before, slopes = none, (none,) * world.plan.channels
-    if isinstance(begin, Meters):
-        before, frame = begin.frame(world, number)
+    meter = getattr(begin.begin if isinstance(begin, Watched) else begin, "frame", None)
+    if meter is not None:
+        before, frame = meter(world, number)
         slopes = (sg(frame.n * (1.0 / dot(frame.n, path.d))),) * world.plan.channels
     return replace(path, before=before, slopes=slopes)
 
 
-class Lane(eqx.Module):
-    """A pixel at work: its current sample and path, the sum of each set, and how many rays it cast."""
+class Watched(eqx.Module):
+    """Paths that know whether they have left a diffuse surface."""
 
+    begin: Any
+
+    @property
+    def searches(self) -> bool:
+        return self.begin.searches
+
+    def __call__(self, world: World, number: Any, s: Stream) -> PathState:
+        path = self.begin(world, number, s)
+        return replace(path, scattered=jnp.zeros_like(path.alive))
+
+
+class Lane(eqx.Module):
+    """A lane at work: which of its pixels and which sample of that, the path, each pixel's sums, and rays cast."""
+
+    pixel: Any
     sample: Any
     path: PathState
     sums: tuple[Spectrum, ...]
     rays: Any
 
 
-def trace(world: World, begin: Any, depths: Depths, seed: Any, numbers: Any, first: Any, last: Any) -> tuple[Any, Any]:
-    """Sums of samples first..last−1 of each lane by set, (N, 4, C), and rays cast, (N,).
+def trace(
+    world: World,
+    begin: Any,
+    depths: Depths,
+    seed: Any,
+    numbers: Any,
+    first: Any,
+    last: Any,
+    field: Any = None,
+    sets: int = SETS,
+) -> tuple[Any, Any]:
+    """Sums of samples first..last−1 of pixels (N, P) by set, (N, P, sets, C), and rays cast, (N,).
 
-    `begin`: how lane `number` begins a path, (world, number, stream) -> PathState; whether it `searches` for that.
+    A lane takes P pixels one after another: few samples each would end with the longest path of many.
+    `begin`: how pixel `number` begins a path, (world, number, stream) -> PathState; whether it `searches` for that.
+    `field`: a `Stored` radiance, in which paths end.
     """
-    zero = Spectrum.full(world.plan.channels, jnp.zeros(numbers.shape, world.faces.dtype))
-    sample = jnp.full(numbers.shape, first, jnp.int32)
-    path = jax.vmap(lambda number, i: begin(world, number, sample_stream(seed, number, i)))(numbers, sample)
-    lanes = Lane(sample, path, (zero,) * SETS, jnp.zeros(numbers.shape, jnp.int32))
+    if field is not None:
+        begin = Watched(begin)
+    n, pixels = numbers.shape
+    zero = Spectrum.full(world.plan.channels, jnp.zeros(n, world.faces.dtype))
+    sample, none = jnp.full(n, first, jnp.int32), jnp.zeros(n, jnp.int32)
+    path = jax.vmap(lambda number, i: begin(world, number, sample_stream(seed, number, i, sets)))(numbers[:, 0], sample)
+    lanes = Lane(none, sample, path, (zero,) * (pixels * sets), none)
     whole = world.plan.bounces and world.plan.backend == "dense"
-    return (one_function(_loop) if whole else _loop)(world, begin, depths, seed, numbers, last, lanes)
+    sums, rays = (one_function(_loop) if whole else _loop)(
+        world, begin, depths, seed, numbers, first, last, lanes, field
+    )
+    return sums.reshape(n, pixels, sets, -1), rays
 
 
-def trace_rows(world: World, begin: Any, depths: Depths, seed: Any, rows: Any, first: Any, last: Any) -> Any:
-    """`trace` for each row of numbers, one after another."""
-    return jax.lax.map(lambda numbers: trace(world, begin, depths, seed, numbers, first, last), rows)
+def trace_rows(
+    world: World,
+    begin: Any,
+    depths: Depths,
+    seed: Any,
+    rows: Any,
+    first: Any,
+    last: Any,
+    field: Any = None,
+    sets: int = SETS,
+) -> Any:
+    """`trace` for each row of pixels, one after another."""
+    return jax.lax.map(lambda numbers: trace(world, begin, depths, seed, numbers, first, last, field, sets), rows)
 
 
-def _loop(world: World, begin: Any, depths: Depths, seed: Any, numbers: Any, last: Any, lanes: Lane) -> tuple[Any, Any]:
-    def step(number: Any, lane: Lane) -> Lane:
-        lane, s = _part(world, lane.path, begin.searches)(_ready)(world, begin, seed, number, lane, last)
-        return replace(lane, path=bounce(world, depths, lane.path, s))
+def _loop(
+    world: World, begin: Any, depths: Depths, seed: Any, numbers: Any, first: Any, last: Any, lanes: Lane, field: Any
+) -> tuple[Any, Any]:
+    pixels = numbers.shape[1]
+    columns = tuple(numbers[:, k] for k in range(pixels))
 
-    lanes = jax.lax.while_loop(lambda c: jnp.any(c.sample < last), lambda c: jax.vmap(step)(numbers, c), lanes)
+    def step(numbers: Any, lane: Lane) -> Lane:
+        number, sets = _number(numbers, lane), len(lane.sums) // pixels
+        s = bounce_stream(sample_stream(seed, number, lane.sample, sets), lane.path.depth)
+        if field is None:
+            path, cast = bounce(world, depths, lane.path, s), 2 if world.plan.lights else 1
+        else:
+            path, cast = field.bounce(world, depths, lane.path, s, lane.sample)
+        lane = replace(lane, path=path, rays=lane.rays + jnp.where(lane.pixel < pixels, cast, 0))
+        return _part(world, path, begin.searches)(_ready)(world, begin, seed, numbers, lane, first, last)
+
+    lanes = jax.lax.while_loop(
+        lambda lanes: jnp.any(lanes.pixel < pixels), lambda lanes: jax.vmap(step)(columns, lanes), lanes
+    )
     return jnp.stack([s.array() for s in lanes.sums], 1), lanes.rays
 
 
-def _ready(world: World, begin: Any, seed: Any, number: Any, lane: Lane, last: Any) -> tuple[Lane, Stream]:
+def _number(numbers: tuple[Any, ...], lane: Lane) -> Any:
+    number = numbers[0]
+    for k in range(1, len(numbers)):
+        number = jnp.where(lane.pixel == k, numbers[k], number)
+    return number
+
+
+def _ready(world: World, begin: Any, seed: Any, numbers: Any, lane: Lane, first: Any, last: Any) -> Lane:
     """The lane with a path to follow: one that ended gives its radiance to its set, and the next sample starts."""
-    path, of_set = lane.path, lane.sample & (SETS - 1)
-    ended = ~path.alive & (lane.sample < last)
+    path, sets = lane.path, len(lane.sums) // len(numbers)
+    place = lane.pixel * sets + lane.sample % sets
+    ended = ~path.alive & (lane.pixel < len(numbers))
+    ended, radiance = world.settle((ended, path.radiance))
     sums = tuple(
-        total.map(lambda a, b, k=k: a + jnp.where(ended & (of_set == k), b, 0.0), path.radiance)
+        total.map(lambda a, b, k=k: a + jnp.where(ended & (place == k), b, 0.0), radiance)
         for k, total in enumerate(lane.sums)
     )
     sample = lane.sample + ended.astype(lane.sample.dtype)
-    path = where(ended, begin(world, number, sample_stream(seed, number, sample)), path)
+    full = sample >= last
+    lane = Lane(lane.pixel + full.astype(lane.pixel.dtype), jnp.where(full, first, sample), path, sums, lane.rays)
+    number = _number(numbers, lane)
+    path = where(ended, begin(world, number, sample_stream(seed, number, lane.sample, sets)), path)
     o, d = world.settle((path.o, path.d))
-    path = replace(path, o=o, d=d)
-    s = bounce_stream(sample_stream(seed, number, sample), path.depth)
-    rays = lane.rays + jnp.where(sample < last, 2 if world.plan.lights else 1, 0)
-    return Lane(sample, path, sums, rays), s
+    return replace(lane, path=replace(path, o=o, d=d))
 
 
-def trace_fixed(world: World, begin: Any, steps: int, depths: Depths, seed: Any, numbers: Any, spp: int) -> Any:
+def trace_fixed(
+    world: World, begin: Any, steps: int, depths: Depths, seed: Any, numbers: Any, spp: int, field: Any = None
+) -> Any:
     """Mean of samples 0..spp−1 of each lane, (N, C): the reverse-mode driver, memory of one pass."""
+    watched = begin if field is None else Watched(begin)
 
     @functools.partial(jax.checkpoint, prevent_cse=False)
-    def one_pass(world: World, begin: Any, numbers: Any, sample: Any) -> Any:
+    def one_pass(world: World, begin: Any, field: Any, numbers: Any, sample: Any) -> Any:
         def one(number: Any) -> Any:
             s = sample_stream(seed, number, sample)
 
             def body(path: PathState, _: Any) -> tuple[PathState, None]:
-                return bounce(world, depths, path, bounce_stream(s, path.depth)), None
+                turn = bounce_stream(s, path.depth)
+                if field is not None:
+                    return field.bounce(world, depths, path, turn, sample)[0], None
+                return bounce(world, depths, path, turn), None
 
             path = _attached(world, begin, number, begin(world, number, s))
             return jax.lax.scan(body, path, None, length=max(steps, 1))[0].radiance.array()
@@ -341,7 +360,7 @@ def trace_fixed(world: World, begin: Any, steps: int, depths: Depths, seed: Any,
 
     def add(carry: Any, sample: Any) -> tuple[Any, None]:
         total, lost = carry
-        value = one_pass(world, begin, numbers, sample) - lost
+        value = one_pass(world, watched, field, numbers, sample) - lost
         new = total + value
         return (new, sg((new - total) - value)), None
 

@@ -22,6 +22,7 @@ from ..sampling.sobol import seed_of
 from ..scene import Scene, Structure, in_working_precision
 from ..world import prepare
 from . import path
+from .field import for_picture
 from .measure import PASS, depths_of, lanes_of, view_of
 from .solution import Solution, mean_and_variance, predicted_error, standard_error
 
@@ -39,6 +40,20 @@ def resized(scene: Scene, sensor: int, width: int, height: int) -> Scene:
 
 FEW_SAMPLES, ROWS = 64, 16
 """Below so many samples a pixel a program takes so many rows of pixels, for one row is done too soon to be called."""
+
+SAMPLES, PIXELS = 32, 8
+"""Samples that a lane should take at least, of so many pixels at most: it ends with the longest of all lanes."""
+
+FIELD_SETS = 2
+"""Independent randomisations of a pixel where a field ends its paths: fewer are more even, one has no error."""
+
+
+def choose_method(plan: Plan, max_depth: int) -> tuple[str, str]:
+    """The method that costs less for the same error, and why."""
+    if max_depth in (0, 1, 2) or not plan.bounces:
+        return "path", "light is not reflected twice"
+    return "path", "the default"
+
 
 LANE_BYTES = 4096
 """What a lane holds while it works, at most: its state, and what a bounce computes for it."""
@@ -84,7 +99,7 @@ def render(
     spp: int | None = None,
     seed: Any = 0,
     *,
-    method: Literal["auto", "path"] = "auto",
+    method: Literal["auto", "path", "field"] = "auto",
     max_depth: int | None = None,
     rr_depth: int | None = None,
     sensor: int = 0,
@@ -101,8 +116,8 @@ def render(
     chunk the same within rounding. `memory`: bytes that picture and pixels in flight may take, by default a
     quarter of the machine's. `progress`: called with the share done. Raises `SceneError` for wrong arguments.
     """
-    if method not in ("auto", "path"):
-        raise SceneError(f"method: {method!r} is not known; give auto or path")
+    if method not in ("auto", "path", "field"):
+        raise SceneError(f"method: {method!r} is not known; give auto, path or field")
     spp = scene.structure.asked().spp if spp is None else spp
     for name, value in (("spp", spp), ("chunk", 1 if chunk is None else chunk)):
         if not isinstance(value, (int, np.integer)) or value < 1:
@@ -122,19 +137,31 @@ def render(
     depths = numbers(path.Depths(np.int32(depths.max_depth), np.int32(depths.rr_depth), np.bool_(depths.hide_emitters)))
     key = np.asarray(seed_of(seed))
     began = time.perf_counter()
-    rows = ROWS if spp < FEW_SAMPLES and n > ROWS * lanes * threads * 4 else 1
-    size = rows * lanes
-    pixels_of = lambda block: _tiled(np.arange(block * size, (block + 1) * size) % n, width, height)
     scene, view = in_working_precision((scene, view))
     tables = dataclasses.replace(scene, structure=Structure(), plan=None)  # names and sensors make no other world
     world = program(prepare, tables, plan, keep=plan.backend == "dense")(tables, plan)
-    example = pixels_of(0).reshape(rows, lanes)
-    run = program(path.trace_rows, world, view, depths, key, example, np.int32(0), np.int32(1))
+    chosen, why = choose_method(plan, int(depths.max_depth)) if method == "auto" else (method, "asked for")
+    field, said, sets = None, {}, path.SETS
+    pool = ThreadPoolExecutor(threads)
+    if chosen == "field":
+        field, said = for_picture(world, tables, key, int(depths.max_depth), n * spp, spp, pool)
+        sets = FIELD_SETS
+    # Pixels of a lane, and rows of lanes of a program, so that neither ends too soon.
+    pixels = min(PIXELS, 1 << max(0, (SAMPLES // spp).bit_length() - 1))
+    rows = max(1, ROWS // pixels) if spp < FEW_SAMPLES else 1
+    while rows * pixels > 1 and n < rows * pixels * lanes * threads * 4:
+        rows, pixels = (rows // 2, pixels) if rows > 1 else (rows, pixels // 2)
+    size = rows * lanes * pixels
+    pixels_of = lambda block: _tiled(np.arange(block * size, (block + 1) * size) % n, width, height)
+    in_rows = lambda numbers: numbers.reshape(rows, pixels, lanes).swapaxes(1, 2)
+    example = in_rows(pixels_of(0))
+    args = world, view, depths, key
+    run = program(path.trace_rows, *args, example, np.int32(0), np.int32(1), field, static=(sets,))
     compiled = time.perf_counter()
 
     blocks = -(-n // size)
     passes = [(a, min(a + PASS, spp)) for a in range(0, spp, PASS)]
-    counts = np.array([len(range(k, spp, path.SETS)) for k in range(path.SETS)])
+    counts = np.array([len(range(k, spp, sets)) for k in range(sets)])
     image, variance = (np.empty((n, plan.channels), np.float32) for _ in range(2))
     rays = np.zeros(blocks, np.int64)
     done = 0
@@ -143,22 +170,23 @@ def render(
     def work(block: int) -> None:
         """All samples of a block of pixels, in order, so that sums do not depend on which thread was faster."""
         nonlocal done
-        pixels, used = pixels_of(block), min(size, n - block * size)
-        sums = np.zeros((used, path.SETS, plan.channels))
+        numbers, used = pixels_of(block), min(size, n - block * size)
+        sums = np.zeros((size, sets, plan.channels))
         for first, last in passes:
             if stop_asked.is_set():
                 return
-            values, cast = run(world, view, depths, key, pixels.reshape(rows, lanes), np.int32(first), np.int32(last))
-            sums += np.asarray(values, np.float64).reshape(size, *sums.shape[1:])[:used]
-            rays[block] += int(np.asarray(cast, np.int64).reshape(-1)[:used].sum())
+            values, cast = run(*args, in_rows(numbers), np.int32(first), np.int32(last), field)
+            sums += np.asarray(values, np.float64).swapaxes(1, 2).reshape(size, sets, -1)
+            cast = np.asarray(cast, np.int64).reshape(-1)
+            rays[block] += int(cast[:used].sum() if pixels == 1 else cast.sum() * used // size)
             done += 1
             if progress:
                 progress(done / (blocks * len(passes)))
-        image[pixels[:used]], variance[pixels[:used]] = mean_and_variance(sums, counts)
+        image[numbers[:used]], variance[numbers[:used]] = mean_and_variance(sums[:used], counts)
 
     if progress:
         progress(0.0)
-    with ThreadPoolExecutor(threads) as pool:
+    with pool:
         try:
             list(pool.map(work, range(blocks)))
         except BaseException:
@@ -176,8 +204,9 @@ def render(
         "rays": int(rays.sum()),
         "iterations": blocks * len(passes),
         "max_depth": int(depths.max_depth),
-        "method": "path",
-        "why": "asked for" if method == "path" else "the only method so far",
+        "method": chosen,
+        "why": why,
+        **said,
         "seconds_compile": compiled - began,
         "seconds_run": finished - compiled,
         "threads": threads,
@@ -188,7 +217,7 @@ def render(
         "scene": scene.structure.source,
         "plan": sorted(plan.effects),
         "seed": int(seed) if isinstance(seed, (int, np.integer)) else f"key {int(key)}",
-        "method": "path",
+        "method": chosen,
         "samples": spp,
         "max_depth": stats["max_depth"],
         "seconds": finished - began,

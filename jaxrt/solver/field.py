@@ -1,0 +1,304 @@
+"""The field method: R = L − L⁰ as the fixed point of b = e + T b on elements, solved once and then looked into."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optimistix as optx
+from jax.core import Tracer
+from jaxtyping import Array, Float
+
+from ..compiler import program
+from ..effects import Plan
+from ..effects import plan as make_plan
+from ..parts import SceneError
+from ..sampling.sobol import Stream, combine, seed_of
+from ..scene import Scene, in_working_precision
+from ..surface import SurfacePoint
+from ..vector import Spectrum, Vec3, where
+from ..world import World, prepare
+from . import path
+from .elements import FINER, Elements, element_of, partition, sampled
+from .equilibrium import SOLVERS, residual_bound, series, solve_links, spectral_radius
+from .gather import KEPT, Stored
+from .links import LENGTHS, Links, link_rows, stands_on
+
+ROW = 256
+"""Elements that are linked together in one row of lanes."""
+
+LINKS, GATHERS, NEAR_FROM = 1 / 8, 4, 1024
+"""For pictures: links of the field for each path, directions that a path looks into, and samples a pixel from which
+elements are not looked at from nearer than their size."""
+
+
+class Error(eqx.Module):
+    """How wrong a field is, relative to its largest value (truncation) or its mean (the others); each (C,) or a number.
+
+    `truncation`: of the discrete system, at most; certified by the bound of a contraction, unless `certified` is false:
+    then T is none in the sup-norm, and it is the step that was left. `discretisation`: mean of R − R̃ over all elements
+    by paths, with its standard error; NaN if that was not asked for. `noise`: standard error of an element's value from
+    the directions that it happened to have.
+    """
+
+    truncation: Any
+    certified: Any
+    discretisation: Any
+    discretisation_stderr: Any
+    noise: Any
+
+
+class Field(eqx.Module):
+    """R̃, an approximation of R = L − L⁰, as a radiance function (x, ω, s) -> Spectrum, and how it was found.
+
+    On diffuse surfaces it is what their element stores (W·m⁻²·sr⁻¹), elsewhere it follows one path with samples s.
+    `result`: an `optimistix.RESULTS`; not successful where the solver did not converge or no solution exists.
+    """
+
+    world: World
+    stored: Stored
+    iterations: Any
+    spectral_radius: Any
+    error: Error
+    result: Any
+    max_depth: int = eqx.field(static=True, default=-1)
+
+    def __call__(self, x: SurfacePoint, w: Vec3, s: Any = None) -> Spectrum:
+        world = self.world
+        element = element_of(world, self.stored.elements, x, w)
+        at = self.stored.at(element, jnp.int32(1), jnp.int32(0))
+        held = at.map(lambda c: jnp.where(element >= 0, c, 0.0))
+        if world.plan.lobes == ("diffuse",):
+            return held
+        if s is None:
+            raise ValueError("a field is followed from mirrors and gloss with samples; give a Stream as third argument")
+        depths = path.Depths(self.max_depth, 1 << 30, False)
+        begun = path.start(world, x.position + w, -w)
+        begun = dataclasses.replace(
+            begun,
+            depth=jnp.full_like(begun.depth, -1),
+            alive=(x.face >= 0) & (element < 0),
+            scattered=jnp.zeros_like(begun.alive),
+        )
+        stream = lambda state: path.bounce_stream(s, state.depth + 1)
+        zero = jnp.int32(0)
+        state, _ = self.stored.bounce(world, depths, begun, stream(begun), zero, x.face)
+        state = jax.lax.while_loop(
+            lambda a: jnp.any(a.alive & (a.depth < 64)),
+            lambda a: self.stored.bounce(world, depths, a, stream(a), zero)[0],
+            state,
+        )
+        return where(element >= 0, held, state.radiance)
+
+    @property
+    def elements(self) -> Elements:
+        return self.stored.elements
+
+    @property
+    def values(self) -> Float[Array, "E channels"]:
+        """Exitant reflected radiance of each element, both paddings included."""
+        return self.stored.values[0, 0]
+
+    def save(self, file: Any) -> None:
+        """The radiance on M as a PLY mesh of elements with float colours, and 8 bits for any viewer. Atomic."""
+        from ..files.field import write_field
+
+        write_field(file, self)
+
+
+def elements_of(scene: Scene, plan: Plan | None = None, resolution: int = 4096) -> Elements:
+    """About `resolution` elements of a scene, made on the host; under a transformation, make them before it."""
+    plan = plan or scene.plan or make_plan(scene)
+    scene = in_working_precision(scene)
+    return marked(jax.jit(prepare, static_argnums=1)(scene, plan), scene, resolution)
+
+
+def marked(world: World, scene: Scene, resolution: int) -> Elements:
+    """A partition, finer where another surface stands on it; elements that it still stands on are of infinite size."""
+
+    def standing(elements: Elements) -> np.ndarray:
+        rows = np.arange(elements.count, dtype=np.int32)[None]
+        run = program(stands_on, world, elements, rows, keep=_keep(world))
+        return np.asarray(run(world, elements, rows)).reshape(-1)
+
+    elements, cell = partition(world, scene, resolution)
+    if elements.clustered:
+        return elements
+    stands = standing(elements)
+    if not stands.any():
+        return elements
+    levels = np.ones(cell.max() + 1, int)
+    levels[cell[np.flatnonzero(stands) - 1]] = FINER
+    elements, _ = partition(world, scene, resolution, levels)
+    size = np.where(standing(elements), np.inf, elements.size)
+    return dataclasses.replace(elements, size=size.astype(elements.size.dtype))
+
+
+def _keep(world: World) -> bool:
+    return world.plan.backend == "dense"
+
+
+def solve(
+    scene: Scene,
+    key: Any = 0,
+    *,
+    plan: Plan | None = None,
+    resolution: int = 4096,
+    directions: int = 64,
+    rtol: float = 1e-4,
+    solver: Any = "anderson",
+    max_depth: int | None = None,
+    elements: Elements | None = None,
+    check: int = 0,
+) -> Field:
+    """The field of a scene: radiance that settles on its surfaces, as a radiance function.
+
+    `resolution`: elements, about. `directions`: links of each. `rtol`: of the discrete system. `solver`: plain, ambient
+    (fixed point iteration without and with ambient correction), anderson or gmres, or one of optimistix or lineax.
+    `max_depth`: as Mitsuba counts it, by default the scene's own: −1 is the fixed point, else it is a partial sum of
+    the series. `elements`: from `elements_of`; needed under jit, grad and vmap, where a partition cannot be made.
+    `check`: paths from each element that estimate the error of discretisation; 0 leaves it out.
+
+    Pure in scene and key; derivatives are implicit, and hold samples and partition fixed.
+    """
+    if isinstance(solver, str) and solver not in SOLVERS:
+        raise SceneError(f"solver: {solver!r} is not known; give {', '.join(SOLVERS)}")
+    for name, value in (("resolution", resolution), ("directions", directions)):
+        if not isinstance(value, (int, np.integer)) or value < 2:
+            raise SceneError(f"{name}: is {value}; give a whole number of at least 2")
+    plan = plan or scene.plan or make_plan(scene)
+    depth = scene.structure.asked().max_depth if max_depth is None else int(max_depth)
+    if elements is None:
+        if any(isinstance(a, Tracer) for a in jax.tree.leaves(scene)):
+            raise ValueError("solve: elements cannot be made of a traced scene; give elements=jaxrt.elements_of(scene)")
+        elements = elements_of(scene, plan, resolution)
+    follow = follows(plan, elements)
+    return _solve(scene, plan, elements, key, int(directions), rtol, solver, depth, follow, int(check))
+
+
+def follows(plan: Plan, elements: Elements) -> bool:
+    """Whether a link may land where there is no element."""
+    if plan.lobes != ("diffuse",) or plan.instances:
+        return True
+    return isinstance(elements.size, Tracer) or bool(np.isinf(np.asarray(elements.size)).any())
+
+
+@functools.partial(eqx.filter_jit)
+def _solve(
+    scene: Scene,
+    plan: Plan,
+    elements: Elements,
+    key: Any,
+    directions: int,
+    rtol: float,
+    solver: Any,
+    depth: int,
+    follow: bool,
+    check: int,
+) -> Field:
+    scene = in_working_precision(scene)
+    world, seed = prepare(scene, plan), seed_of(key)
+    elements = jax.tree.map(jnp.asarray, elements)
+    count = elements.count
+    numbers = jnp.arange(-(-count // ROW) * ROW, dtype=jnp.int32) % count
+    rows = link_rows(world, elements, seed, numbers.reshape(-1, ROW), directions, follow, lengths_of(follow, depth))
+    links = jax.tree.map(lambda a: a.reshape(-1, *a.shape[2:])[:count], rows)
+    values, steps, result = settled(links, rtol, solver, depth)
+    stored = Stored(elements, values[None])
+    error = _error(world, stored, links, seed, depth, check)
+    return Field(world, stored, steps, spectral_radius(links), error, result, depth)
+
+
+def lengths_of(follow: bool, depth: int) -> int:
+    """How many lengths of links have to be told apart."""
+    return LENGTHS if follow and depth >= 0 else 1
+
+
+def settled(links: Links, rtol: Any, solver: Any, depth: int) -> tuple[Any, Any, Any]:
+    """What elements store, (J, E, C), how often T was applied, and a result."""
+    if depth < 0:
+        b, steps, result = solve_links(links, rtol, solver)
+        return b[None], steps, result
+    edges = max(depth - 2, 1)
+    levels = series(links, edges)[::-1][: KEPT + 1] if depth > 2 else 0.0 * links.emitted[None]
+    if len(levels) < KEPT + 1:
+        levels = jnp.concatenate([levels, 0.0 * levels[:1]])
+    return levels, jnp.int32(edges - 1), optx.RESULTS.successful
+
+
+def _halves(links: Links, rtol: Any, solver: Any, depth: int) -> tuple[Any, Any]:
+    """`settled` for each half of the links, (2, J, E, C), and how often T was applied."""
+    found = [settled(links.half(k), rtol, solver, depth) for k in (0, 1)]
+    return jnp.stack([values for values, _, _ in found]), found[0][1]
+
+
+def for_picture(
+    world: World, scene: Scene, seed: Any, depth: int, paths: float, spp: int, pool: Any
+) -> tuple[Stored, dict[str, Any]]:
+    """The field that a picture of so many paths looks into, found on the threads of `pool`, and what to say of it.
+
+    Links are a share of the paths, so that solving takes a share of the time whatever accuracy is asked.
+    """
+    wanted = paths * LINKS
+    resolution = int(np.clip(6.0 * np.sqrt(wanted), 256, 1 << 15))
+    directions = int(np.clip(1 << round(np.log2(max(wanted / resolution, 1.0))), 16, 1024))
+    elements = jax.device_put(marked(world, scene, resolution))
+    follow, count = follows(world.plan, elements), elements.count
+    numbers = np.resize(np.arange(count, dtype=np.int32), -(-count // ROW) * ROW).reshape(-1, 1, ROW)
+    static = (directions, follow, lengths_of(follow, depth))
+    run = program(link_rows, world, elements, seed, numbers[0], static=static, keep=_keep(world))
+    rows = list(pool.map(lambda row: jax.tree.map(np.asarray, run(world, elements, seed, row)), numbers))
+    links = jax.tree.map(lambda *a: np.concatenate([b[0] for b in a])[:count], *rows)
+    near = np.asarray(min(1.0, spp / NEAR_FROM), elements.size.dtype)
+    args = links, np.asarray(1e-3, near.dtype)
+    values, steps = program(_halves, *args, static=("anderson", depth))(*args)
+    stored = Stored(elements, values, near, GATHERS)
+    return stored, {"elements": count, "directions": directions, "field_iterations": int(steps)}
+
+
+class _Probes(eqx.Module):
+    """Paths that begin on elements, for their reflected radiance."""
+
+    elements: Elements
+    searches = False
+
+    def __call__(self, world: World, number: Any, s: Stream) -> path.PathState:
+        place = s.child(1)  # the path's own first reflection takes pairs from before the camera's
+        _, y, n = sampled(world, self.elements, number, place.pair_at(0), place.pair_at(1)[0])
+        begun = path.start(world, y + n * (4.0 * world.epsilon), -n)
+        return dataclasses.replace(begun, depth=jnp.full_like(begun.depth, -1))
+
+
+def _error(world: World, stored: Stored, links: Links, seed: Any, depth: int, check: int) -> Error:
+    sg = jax.lax.stop_gradient
+    world, stored, links = sg((world, stored, links))
+    b, area = stored.values[0, 0], stored.elements.area[:, None]
+    mean = jnp.maximum((area * b).sum(0), 1e-30)
+    bound, norm = residual_bound(links, b)
+    left = jnp.abs(links.emitted + links.apply(b) - b).max()
+    largest = jnp.maximum(b.max(), 1e-30)
+    certified = norm < 1.0
+    truncation = jnp.where(certified, bound, left) / largest if depth < 0 else jnp.zeros(())
+    first, second = (half.emitted + half.apply(b) for half in (links.half(0), links.half(1)))
+    apart = 0.5 * (first - second)
+    noise = jnp.sqrt((area * apart**2).sum(0) / area.sum()) / (mean / area.sum())
+    unknown = jnp.full_like(mean, jnp.nan)
+    if check == 0:
+        return Error(truncation, certified, unknown, unknown, noise)
+    numbers = jnp.arange(stored.elements.count, dtype=jnp.int32)
+    depths = path.Depths(jnp.int32(depth if depth < 0 else depth - 1), jnp.int32(5), jnp.asarray(False))
+    lanes = (jnp.arange(-(-len(numbers) // ROW) * ROW, dtype=jnp.int32) % len(numbers)).reshape(-1, ROW, 1)
+    probes = _Probes(stored.elements)
+    sums = path.trace_rows(world, probes, depths, combine(seed, 7), lanes, jnp.int32(0), jnp.int32(check))[0]
+    sums = sums.reshape(-1, *sums.shape[3:])[: len(numbers)]  # (E, sets, C)
+    sets = sums.shape[1]
+    each = (area[:, None] * (sums * (sets / check) - b[:, None])).sum(0) / mean[None]  # (sets, C)
+    return Error(truncation, certified, each.mean(0), each.std(0, ddof=1) / np.sqrt(sets), noise)
+
+
+__all__ = ["Error", "Field", "elements_of", "solve"]
