@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import functools
 from typing import Any
 
 import equinox as eqx
@@ -178,7 +177,8 @@ def solve(
             raise ValueError("solve: elements cannot be made of a traced scene; give elements=jaxrt.elements_of(scene)")
         elements = elements_of(scene, plan, resolution)
     follow = follows(plan, elements)
-    return _solve(scene, plan, elements, key, int(directions), rtol, solver, depth, follow, int(check))
+    world, links = _linked(scene, plan, elements, key, int(directions), follow, lengths_of(follow, depth))
+    return _found(world, elements, links, key, rtol, solver, depth, int(check))
 
 
 def follows(plan: Plan, elements: Elements) -> bool:
@@ -188,29 +188,24 @@ def follows(plan: Plan, elements: Elements) -> bool:
     return isinstance(elements.size, Tracer) or bool(np.isinf(np.asarray(elements.size)).any())
 
 
-@functools.partial(eqx.filter_jit)
-def _solve(
-    scene: Scene,
-    plan: Plan,
-    elements: Elements,
-    key: Any,
-    directions: int,
-    rtol: float,
-    solver: Any,
-    depth: int,
-    follow: bool,
-    check: int,
-) -> Field:
-    scene = in_working_precision(scene)
-    world, seed = prepare(scene, plan), seed_of(key)
-    elements = jax.tree.map(jnp.asarray, elements)
+@eqx.filter_jit
+def _linked(
+    scene: Scene, plan: Plan, elements: Elements, key: Any, directions: int, follow: bool, lengths: int
+) -> tuple[World, Links]:
+    world, elements = prepare(in_working_precision(scene), plan), jax.tree.map(jnp.asarray, elements)
     count = elements.count
     numbers = jnp.arange(-(-count // ROW) * ROW, dtype=jnp.int32) % count
-    rows = link_rows(world, elements, seed, numbers.reshape(-1, ROW), directions, follow, lengths_of(follow, depth))
-    links = jax.tree.map(lambda a: a.reshape(-1, *a.shape[2:])[:count], rows)
+    rows = link_rows(world, elements, seed_of(key), numbers.reshape(-1, ROW), directions, follow, lengths)
+    return world, jax.tree.map(lambda a: a.reshape(-1, *a.shape[2:])[:count], rows)
+
+
+@eqx.filter_jit
+def _found(
+    world: World, elements: Elements, links: Links, key: Any, rtol: float, solver: Any, depth: int, check: int
+) -> Field:
     values, steps, result = settled(links, rtol, solver, depth)
-    stored = Stored(elements, values[None])
-    error = _error(world, stored, links, seed, depth, check)
+    stored = Stored(jax.tree.map(jnp.asarray, elements), values[None])
+    error = _error(world, stored, links, seed_of(key), depth, check)
     return Field(world, stored, steps, spectral_radius(links), error, result, depth)
 
 
@@ -297,8 +292,10 @@ def _error(world: World, stored: Stored, links: Links, seed: Any, depth: int, ch
     sums = path.trace_rows(world, probes, depths, combine(seed, 7), lanes, jnp.int32(0), jnp.int32(check))[0]
     sums = sums.reshape(-1, *sums.shape[3:])[: len(numbers)]  # (E, sets, C)
     sets = sums.shape[1]
-    each = (area[:, None] * (sums * (sets / check) - b[:, None])).sum(0) / mean[None]  # (sets, C)
-    return Error(truncation, certified, each.mean(0), each.std(0, ddof=1) / np.sqrt(sets), noise)
+    off = sums * (sets / check) - b[:, None]
+    share = area / mean[None]
+    stderr = jnp.sqrt((share**2 * off.var(1, ddof=1)).sum(0) / sets)
+    return Error(truncation, certified, (share * off.mean(1)).sum(0), stderr, noise)
 
 
 __all__ = ["Error", "Field", "elements_of", "solve"]

@@ -1,4 +1,4 @@
-"""The host loop around the path method: chunks of pixels over cores, sums in float64, progress."""
+"""The host loop around both methods: chunks of pixels over cores, sums in float64, progress."""
 
 from __future__ import annotations
 
@@ -46,13 +46,6 @@ SAMPLES, PIXELS = 32, 8
 
 FIELD_SETS = 2
 """Independent randomisations of a pixel where a field ends its paths: fewer are more even, one has no error."""
-
-
-def choose_method(plan: Plan, max_depth: int) -> tuple[str, str]:
-    """The method that costs less for the same error, and why."""
-    if max_depth in (0, 1, 2) or not plan.bounces:
-        return "path", "light is not reflected twice"
-    return "path", "the default"
 
 
 LANE_BYTES = 4096
@@ -110,7 +103,8 @@ def render(
 ) -> Solution:
     """A picture with its standard error.
 
-    `spp`: samples a pixel, by default what the scene file asks. `max_depth` as Mitsuba counts it (1:
+    `spp`: samples a pixel, by default what the scene file asks. `method`: path, or field: paths end in a field that is
+    solved first; auto is path so far. `max_depth` as Mitsuba counts it (1:
     emission only; −1: no end). `plan`: by default specialised on all values of the scene. `chunk`: pixels
     in flight a core, by default what is fastest; the same seed, plan and chunk give the same bits, another
     chunk the same within rounding. `memory`: bytes that picture and pixels in flight may take, by default a
@@ -140,7 +134,7 @@ def render(
     scene, view = in_working_precision((scene, view))
     tables = dataclasses.replace(scene, structure=Structure(), plan=None)  # names and sensors make no other world
     world = program(prepare, tables, plan, keep=plan.backend == "dense")(tables, plan)
-    chosen, why = choose_method(plan, int(depths.max_depth)) if method == "auto" else (method, "asked for")
+    chosen, why = ("path", "the default") if method == "auto" else (method, "asked for")
     field, said, sets = None, {}, path.SETS
     pool = ThreadPoolExecutor(threads)
     if chosen == "field":

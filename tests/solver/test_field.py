@@ -163,16 +163,13 @@ def test_solvers_agree_and_the_certificate_holds(solver, rho):
     assert int(field.iterations) <= (2000 if solver == "plain" and rho == 0.99 else steps)
 
 
-def test_a_solver_of_optimistix_and_of_lineax():
-    import lineax
-
-    scene = room(0.5, ceiling=1.0)
+def test_a_solver_of_optimistix():
     exact = np.asarray(dense_system(0.5).values)
-    for solver in (Anderson(1e-5, 1e-6, depth=3), lineax.BiCGStab(1e-5, 1e-6)):
-        np.testing.assert_allclose(np.asarray(solved(scene, solver=solver).values), exact, rtol=1e-3, atol=1e-5)
+    field = solved(room(0.5, ceiling=1.0), solver=Anderson(1e-5, 1e-6, depth=3))
+    np.testing.assert_allclose(np.asarray(field.values), exact, rtol=1e-3, atol=1e-5)
 
 
-@pytest.mark.parametrize("solver", ["plain", "anderson", "gmres"])
+@pytest.mark.parametrize("solver", ["anderson", "gmres"])
 def test_no_solution_is_said(solver):
     """Emission inside a closed surface of albedo 1: light grows for ever."""
     field = solved(room(1.0, ceiling=1.0), solver=solver)
@@ -247,7 +244,7 @@ def test_unbiased_from_any_field(getkey):
     psi = jaxrt.psi(jax.jit(prepare, static_argnums=1)(scene, plan()))
     w = jaxrt.Vec3.of(jnp.asarray([0.3, 0.2, -1.0]) / jnp.linalg.norm(jnp.asarray([0.3, 0.2, -1.0])))
     x = psi(jaxrt.Vec3(0.1, 0.2, 0.3), w)
-    unbiased = jaxrt.estimate(psi.world, 1, field)
+    unbiased = jaxrt.estimate(psi.world, 0, field)
 
     @jax.jit
     def values(seed):
