@@ -36,6 +36,10 @@ LINKS, GATHERS, NEAR_FROM = 1 / 8, 4, 1024
 elements are not looked at from nearer than their size."""
 
 
+MOST = 1 << 22
+"""Links of a picture's field, at most: 16 bytes each where they carry a weight."""
+
+
 class Error(eqx.Module):
     """How wrong a field is, relative to its largest value (truncation) or its mean (the others); each (C,) or a number.
 
@@ -239,7 +243,7 @@ def for_picture(
 
     Links are a share of the paths, so that solving takes a share of the time whatever accuracy is asked.
     """
-    wanted = paths * LINKS
+    wanted = min(paths * LINKS, MOST)
     resolution = int(np.clip(6.0 * np.sqrt(wanted), 256, 1 << 15))
     directions = int(np.clip(1 << round(np.log2(max(wanted / resolution, 1.0))), 16, 1024))
     elements = jax.device_put(marked(world, scene, resolution))
