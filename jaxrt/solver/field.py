@@ -23,10 +23,11 @@ from ..surface import SurfacePoint
 from ..vector import Spectrum, Vec3, where
 from ..world import World, prepare
 from . import path
-from .elements import FINER, Elements, element_of, partition, sampled
+from .elements import Elements, element_of, sampled
 from .equilibrium import SOLVERS, residual_bound, series, solve_links, spectral_radius
 from .gather import KEPT, Stored
 from .links import LENGTHS, Links, link_rows, stands_on
+from .partition import FINER, partition
 
 ROW = 256
 """Elements that are linked together in one row of lanes."""

@@ -12,8 +12,9 @@ from test_path import room
 
 import jaxrt
 from jaxrt.sampling.sobol import Stream, combine
-from jaxrt.solver.elements import BLACK, corners_of_pieces, element_of, partition, sampled
+from jaxrt.solver.elements import BLACK, corners_of_pieces, element_of, sampled
 from jaxrt.solver.equilibrium import SOLVERS, Anderson
+from jaxrt.solver.partition import partition
 from jaxrt.surface import surface_point
 from jaxrt.world import prepare
 

@@ -1,0 +1,180 @@
+"""How elements are made, on the host: faces cut into graded cells, or small faces brought together."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from ..brdf import LOBES, MaterialColumns
+from ..scene import KINDS, Scene
+from ..world import FACE, World
+from .elements import Elements
+
+EVERYWHERE = 0.25
+"""The share of all faces' area from which on emitters are met by links rather than sampled."""
+
+FINER = 4
+"""Into so many parts along each side a cell is cut on which another surface stands."""
+
+
+def spaced(t: np.ndarray) -> np.ndarray:
+    """The inverse of `graded`. Symmetric, so that the long side of a triangle goes through corners of cells."""
+    return np.where(t < 0.5, 2.0 * t * t, 1.0 - 2.0 * (1.0 - t) ** 2)
+
+
+def bucket(n: int) -> int:
+    """The least size of a few (four an octave) that holds n."""
+    step = 1 << max(int(n - 1).bit_length() - 3, 3)
+    return -(-n // step) * step
+
+
+def diffuse_sides(world: World, scene: Scene) -> tuple[np.ndarray, np.ndarray]:
+    """For each side of a face: whether it is diffuse, and whether it is black."""
+    plan, faces, rows = world.plan, sum(world.blocks), np.asarray(world.faces)
+    counts = np.asarray(scene.counts)
+    used = np.concatenate([np.arange(n) < counts[k] for k, n in enumerate(world.blocks)])
+    finish = rows[:faces, FACE["finish"]].astype(int)
+    columns, table = MaterialColumns(plan.channels, plan.fields), np.asarray(world.finishes)
+    field = lambda name: table[finish, columns[name][0]] if name in plan.fields else None
+    lobe, two = field("lobe"), field("twosided")
+    diffuse = np.full(faces, plan.lobes == ("diffuse",)) if lobe is None else lobe == LOBES["diffuse"].number
+    two = np.full(faces, plan.twosided == "all") if two is None else two > 0.5
+    diffuse, reflects = diffuse & used, np.concatenate([used, used & two])
+    return np.concatenate([diffuse, diffuse]) & reflects, ~reflects
+
+
+def partition(
+    world: World, scene: Scene, resolution: int, levels: np.ndarray | None = None
+) -> tuple[Elements, np.ndarray]:
+    """About `resolution` elements, each cell cut further into `levels`² parts; and the cell of each element."""
+    faces, geometry = sum(world.blocks), np.asarray(world.geometry, np.float64)
+    diffuse, black = diffuse_sides(world, scene)
+    factor = {"triangle": 0.5, "parallelogram": 1.0, "disk": np.pi, "sphere": 4 * np.pi, "cylinder": 2 * np.pi}
+    area = np.linalg.norm(np.cross(geometry[:, 3:6], geometry[:, 6:9]), axis=1)
+    area = area * np.repeat([factor[k] for k in KINDS], world.blocks)
+    sides = np.flatnonzero(diffuse & np.tile(area > 0, 2))
+    face = sides % max(faces, 1)
+    kind = np.searchsorted(np.cumsum(world.blocks), face, side="right")
+    h = np.sqrt(area[face].sum() / max(resolution, 1)) or 1.0
+    l1, l2 = (np.linalg.norm(geometry[face, k : k + 3], axis=1) for k in (3, 6))
+    round_ = kind == KINDS.index("disk")
+    ball, tube = kind == KINDS.index("sphere"), kind == KINDS.index("cylinder")
+    l1 = np.where(ball, 2 * l1, l1)
+    l2 = np.where(round_ | ball, 2 * np.pi * l1 * 0.5, np.where(tube, 2 * np.pi * l2, l2))
+    nu, nv = (np.maximum(np.round(v / h), 1).astype(int) for v in (l1, l2))
+    triangle = kind == KINDS.index("triangle")
+    n = np.maximum(nu, nv)
+    nu, nv = np.where(triangle, n, nu), np.where(triangle, n, nv)
+    # A triangle counts from the corner opposite to its longest side, which is most often no edge of a wall.
+    l3 = np.linalg.norm(geometry[face, 6:9] - geometry[face, 3:6], axis=1)
+    corner = np.where(triangle, np.argmax([l3, l2, l1], 0), 0)  # opposite to o lies e2 − e1, to o + e1 lies e2
+
+    # Cells of the first partition.
+    start = np.concatenate([[0], np.cumsum(nu * nv)])
+    of = np.repeat(np.arange(len(sides)), nu * nv)
+    i, j = np.divmod(np.arange(start[-1]) - start[of], nv[of])
+    outside, half = triangle[of] & (i + j > nu[of] - 1), triangle[of] & (i + j == nu[of] - 1)
+    level = np.ones(len(of), int) if levels is None else np.asarray(levels, int)
+    small = (l1 < 0.75 * h) & (l2 < 0.75 * h)
+    clustered = bool(small.sum() > resolution / 2)
+    level = np.where(clustered & small[of], 1, level)
+    parts = np.where(outside, 0, np.where(half, level * (level + 1) // 2, level * level))
+    offset = np.concatenate([[0], np.cumsum(parts)])
+
+    # Pieces: cell by cell, row by row.
+    cell = np.repeat(np.arange(len(of)), parts)
+    within = np.arange(offset[-1]) - offset[cell]
+    k = level[cell]
+    a = np.where(half[cell], _row_of_triangle(within, k), within // k)
+    b = within - np.where(half[cell], a * k - a * (a - 1) // 2, a * k)
+    s = of[cell]
+    cut = half[cell] & (a + b == k - 1)
+    at_u, at_v = (i[cell] * k + a) / (nu[s] * k), (j[cell] * k + b) / (nv[s] * k)
+    start_u, start_v = spaced(at_u), spaced(at_v)
+    extent = spaced(at_u + 1.0 / (nu[s] * k)) - start_u, spaced(at_v + 1.0 / (nv[s] * k)) - start_v
+    front = np.where(sides[s] < faces, 1.0, -1.0)
+    rectangle = np.stack([start_u, start_v, *extent, cut, front, corner[s]], -1)
+    piece_area = area[face[s]] * extent[0] * extent[1] * np.where(triangle[s], 2.0, 1.0) * np.where(cut, 0.5, 1.0)
+
+    legs = np.where(corner == 0, (l1, l2), np.where(corner == 1, (l3, l1), (l2, l3)))
+    shorter = np.minimum(extent[0] * legs[0][s], extent[1] * legs[1][s])
+
+    # Elements: a piece each, but small faces of one shape that lie together and look the same way share one.
+    element = np.arange(len(cell))
+    if clustered:
+        element = _clusters(world, scene, element, small[s], face[s], front, geometry, h)
+    order = np.argsort(element, kind="stable")
+    members = np.bincount(element, minlength=element.max(initial=-1) + 1)
+    # The grid of a side is as fine as its finest cell.
+    most = np.ones(len(sides), int)
+    np.maximum.at(most, of, level)
+    fu, fv = nu * most, nv * most
+    fine_start = np.concatenate([[0], np.cumsum(fu * fv)])
+    at = np.repeat(np.arange(len(sides)), fu * fv)
+    fi, fj = np.divmod(np.arange(fine_start[-1]) - fine_start[at], fv[at])
+    m = most[at]
+    ci, cj = fi // m, fj // m
+    beyond = triangle[at] & (ci + cj > nu[at] - 1)
+    cj = np.where(beyond, np.maximum(nu[at] - 1 - ci, 0), cj)
+    c = start[at] + ci * nv[at] + cj
+    k = level[c]
+    a, b = (fi % m) * k // m, (fj % m) * k // m
+    b = np.where(half[c], np.minimum(b, k - 1 - a), b)
+    local = np.where(half[c], a * k - a * (a - 1) // 2, a * k) + b
+    cells = element[np.minimum(offset[c] + local, max(len(element) - 1, 0))] + 1 if len(element) else np.zeros(0, int)
+
+    grid = np.zeros((2 * faces + 1, 4), np.int32)
+    grid[:-1][black] = (0, 1, 1, 0)  # the cell of the black element
+    grid[sides] = np.stack([fine_start[:-1] + 1, fu, fv, corner], -1)
+    real = len(members) + 1
+    total, pieces = bucket(real), bucket(len(cell) + 1)
+    first = np.full(total + 1, len(cell) + 1)
+    first[:real] = np.concatenate([[0], 1 + np.concatenate([[0], np.cumsum(members)[:-1]])])[:real]
+    areas = np.bincount(element, piece_area, len(members)) if len(element) else np.zeros(0)
+    size = np.sqrt(areas) if clustered else shorter
+    emits = np.any(np.asarray(world.finishes)[:, -world.plan.channels :] > 0, axis=-1)
+    emits = emits[np.asarray(world.faces)[:faces, FACE["finish"]].astype(int)] & (area > 0)
+    everywhere = bool(area[emits].sum() > EVERYWHERE * area.sum())
+    fill = lambda a, size, value=0: np.concatenate([a, np.full((size - len(a), *a.shape[1:]), value, a.dtype)])
+    black_first = lambda a: np.concatenate([np.zeros((1, *a.shape[1:]), a.dtype), a])
+    dtype = np.asarray(world.faces).dtype
+    as_float = lambda a, size: fill(black_first(a).astype(dtype), size)
+    arrays: dict[str, Any] = dict(
+        grid=grid,
+        cells=fill(black_first(cells).astype(np.int32), bucket(len(cells) + 1)),
+        first=np.minimum(first, pieces - 1).astype(np.int32),
+        face=fill(black_first(face[s][order]).astype(np.int32), pieces),
+        rectangle=as_float(rectangle[order], pieces),
+        ends=np.cumsum(as_float(piece_area[order], pieces)),
+        size=as_float(size, total),
+        area=as_float(areas, total),
+    )
+    return Elements(**arrays, clustered=clustered, everywhere=everywhere), cell
+
+
+def _row_of_triangle(within: np.ndarray, k: np.ndarray) -> np.ndarray:
+    """The row of number `within` in rows of length k, k − 1, ..."""
+    a = np.floor((2 * k + 1 - np.sqrt(np.maximum((2 * k + 1.0) ** 2 - 8 * within, 0))) / 2).astype(int)
+    before = lambda a: a * k - a * (a - 1) // 2
+    a = np.where(before(a) > within, a - 1, a)
+    return np.where(before(a + 1) <= within, a + 1, a)
+
+
+def _clusters(
+    world: World, scene: Scene, element: np.ndarray, small: np.ndarray, face: np.ndarray, front: np.ndarray,
+    geometry: np.ndarray, h: float,
+) -> np.ndarray:  # fmt: skip
+    """Numbers of elements in which small faces of one shape, one box of side h, one axis and one side come together."""
+    rows = geometry[face]
+    n = np.cross(rows[:, 3:6], rows[:, 6:9]) * front[:, None]
+    axis = np.abs(n).argmax(-1)
+    axis = 2 * axis + (np.take_along_axis(n, axis[:, None], 1)[:, 0] < 0)
+    middle = rows[:, :3] + (rows[:, 3:6] + rows[:, 6:9]) / 3
+    box = np.floor((middle - middle.min(0)) / h).astype(np.int64)
+    shape = np.asarray(scene.face_shape)[face]
+    keys = np.stack([shape, *box.T, axis, front], -1).astype(np.int64)
+    keys[~small] = 0
+    keys = np.concatenate([keys, np.where(small, 0, 1 + element)[:, None]], -1)
+    number = np.unique(keys, axis=0, return_inverse=True)[1].reshape(-1)
+    return number
