@@ -28,7 +28,7 @@ def lowered(scene, plan):
     """The program of the path method for a plan, as text."""
     world = jax.eval_shape(functools.partial(prepare, plan=plan), scene)
     view, depths = measure.view_of(scene, 0), measure.depths_of(scene, 4)
-    pixels = jnp.arange(64, dtype=jnp.int32)
+    pixels = jnp.arange(64, dtype=jnp.int32)[:, None]
     return jax.jit(path.trace).lower(world, view, depths, jnp.uint32(0), pixels, 0, 4).as_text()
 
 
