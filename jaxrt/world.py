@@ -126,10 +126,13 @@ def safe_norm(a: Any) -> Any:
     return jnp.where(n > 0, jnp.sqrt(jnp.where(n > 0, n, 1.0)), 0.0)
 
 
+AREA = {"triangle": 0.5, "parallelogram": 1.0, "disk": np.pi, "sphere": 4 * np.pi, "cylinder": 2 * np.pi}
+"""The area of a face of each kind, in units of |e₁ × e₂|."""
+
+
 def face_areas(geometry: Any, blocks: tuple[int, ...]) -> Any:
     """Area of every face (m²); 0 for padding."""
-    factors = {"triangle": 0.5, "parallelogram": 1.0, "disk": np.pi, "sphere": 4 * np.pi, "cylinder": 2 * np.pi}
-    factor = np.repeat([factors[kind] for kind in KINDS], blocks)
+    factor = np.repeat([AREA[kind] for kind in KINDS], blocks)
     return safe_norm(jnp.cross(geometry[:, 3:6], geometry[:, 6:9])) * jnp.asarray(factor, geometry.dtype)
 
 

@@ -125,6 +125,13 @@ def place(world: World, face: Any, a: Any, b: Any) -> tuple[Vec3, Vec3]:
     return y, n
 
 
+def in_piece(world: World, face: Any, row: Any, a: Any, b: Any) -> tuple[Vec3, Vec3]:
+    """Position and normal, on its side, at coordinates in [0, 1]² of a piece: a row of `Elements.rectangle`."""
+    back = (3.0 - row[6]) % 3.0  # the corner from which the face itself counts
+    y, n = place(world, face, *cornered(row[0] + a * row[2], row[1] + b * row[3], back))
+    return y, n * row[5]
+
+
 def sampled(world: World, elements: Elements, e: Any, u: tuple[Any, Any], choice: Any) -> tuple[Any, Vec3, Vec3]:
     """A point of element e with even density: its face, position, and normal on the element's side."""
     piece = _row(elements.first, e)
@@ -136,8 +143,7 @@ def sampled(world: World, elements: Elements, e: Any, u: tuple[Any, Any], choice
     row, face = _row(elements.rectangle, piece), _row(elements.face, piece)
     fold = (row[4] > 0) & (u[0] + u[1] > 1.0)
     a, b = (jnp.where(fold, 1.0 - c, c) for c in u)
-    y, n = place(world, face, *cornered(row[0] + a * row[2], row[1] + b * row[3], (3.0 - row[6]) % 3.0))
-    return face, y, n * row[5]
+    return face, *in_piece(world, face, row, a, b)
 
 
 def corners_of_pieces(world: World, elements: Elements) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -146,11 +152,6 @@ def corners_of_pieces(world: World, elements: Elements) -> tuple[np.ndarray, np.
     real = int(first[1:].max())
     element = np.searchsorted(first, np.arange(1, real), side="right") - 1
     rows, faces = jnp.asarray(elements.rectangle)[1:real], jnp.asarray(elements.face)[1:real]
-
-    def one(row: Any, face: Any, a: float, b: float) -> Any:
-        back = (3.0 - row[6]) % 3.0
-        return place(world, face, *cornered(row[0] + a * row[2], row[1] + b * row[3], back))[0].array()
-
-    corner = lambda a, b: np.asarray(jax.vmap(lambda r, f: one(r, f, a, b))(rows, faces))
+    corner = lambda a, b: np.asarray(jax.vmap(lambda r, f: in_piece(world, f, r, a, b)[0].array())(rows, faces))
     corners = np.stack([corner(0.0, 0.0), corner(1.0, 0.0), corner(0.0, 1.0), corner(1.0, 1.0)], 1)
     return corners, element, np.asarray(elements.rectangle)[1:real, 4] > 0

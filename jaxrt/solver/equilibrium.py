@@ -149,12 +149,14 @@ def spectral_radius(links: Any, steps: int = 24) -> Any:
     return jnp.exp(jnp.log(jnp.maximum(sizes[-4:], 1e-30)).mean())
 
 
-def residual_bound(links: Any, b: Any) -> tuple[Any, Any]:
-    """‖e + T b − b‖∞ / (1 − ‖T‖∞), an upper bound of ‖b − b*‖∞ (Banach); infinite where ‖T‖∞ is 1. And ‖T‖∞."""
+def residual_bound(links: Any, b: Any) -> tuple[Any, Any, Any]:
+    """‖e + T b − b‖∞ / (1 − ‖T‖∞), an upper bound of ‖b − b*‖∞ (Banach), infinite where ‖T‖∞ is 1; the residual's norm;
+    and ‖T‖∞."""
     norm = links.apply(jnp.ones_like(b)).max()
     rounding = 4.0 * jnp.finfo(b.dtype).eps * jnp.abs(b).max()
-    residual = jnp.abs(links.emitted + links.apply(b) - b).max() + rounding
-    return jnp.where(norm < 1.0, residual / jnp.where(norm < 1.0, 1.0 - norm, 1.0), jnp.inf), norm
+    residual = jnp.abs(links.emitted + links.apply(b) - b).max()
+    least = jnp.where(norm < 1.0, 1.0 - norm, 1.0)
+    return jnp.where(norm < 1.0, (residual + rounding) / least, jnp.inf), residual, norm
 
 
 __all__ = ["MAX_STEPS", "SOLVERS", "Anderson", "ambient", "residual_bound", "series", "solve_links", "spectral_radius"]

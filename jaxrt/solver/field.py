@@ -25,7 +25,7 @@ from ..world import World, prepare
 from . import path
 from .elements import Elements, element_of, sampled
 from .equilibrium import SOLVERS, residual_bound, series, solve_links, spectral_radius
-from .gather import KEPT, Stored
+from .gather import Stored
 from .links import LENGTHS, Links, link_rows, stands_on
 from .partition import FINER, partition
 
@@ -36,6 +36,8 @@ LINKS, GATHERS, NEAR_FROM = 1 / 8, 4, 1024
 """For pictures: links of the field for each path, directions that a path looks into, and samples a pixel from which
 elements are not looked at from nearer than their size."""
 
+KEPT = 16
+"""Partial sums of the series that a field of finite depth holds, the longest first, then 0 or the shortest."""
 
 MOST = 1 << 22
 """Links of a picture's field, at most: 16 bytes each where they carry a weight."""
@@ -82,13 +84,8 @@ class Field(eqx.Module):
         if s is None:
             raise ValueError("a field is followed from mirrors and gloss with samples; give a Stream as third argument")
         depths = path.Depths(self.max_depth, 1 << 30, False)
-        begun = path.start(world, x.position + w, -w)
-        begun = dataclasses.replace(
-            begun,
-            depth=jnp.full_like(begun.depth, -1),
-            alive=(x.face >= 0) & (element < 0),
-            scattered=jnp.zeros_like(begun.alive),
-        )
+        begun = path.start(world, x.position + w, -w, depth=-1)
+        begun = dataclasses.replace(begun, alive=(x.face >= 0) & (element < 0), scattered=jnp.zeros_like(begun.alive))
         stream = lambda state: path.bounce_stream(s, state.depth + 1)
         zero = jnp.int32(0)
         state, _ = self.stored.bounce(world, depths, begun, stream(begun), zero, x.face)
@@ -105,7 +102,7 @@ class Field(eqx.Module):
 
     @property
     def values(self) -> Float[Array, "E channels"]:
-        """Exitant reflected radiance of each element, both paddings included."""
+        """Exitant reflected radiance of each element, the black one and padding among them."""
         return self.stored.values[0, 0]
 
     def save(self, file: Any) -> None:
@@ -119,7 +116,8 @@ def elements_of(scene: Scene, plan: Plan | None = None, resolution: int = 4096) 
     """About `resolution` elements of a scene, made on the host; under a transformation, make them before it."""
     plan = plan or scene.plan or make_plan(scene)
     scene = in_working_precision(scene)
-    return marked(jax.jit(prepare, static_argnums=1)(scene, plan), scene, resolution)
+    world = program(prepare, scene, plan, keep=plan.backend == "dense")(scene, plan)
+    return marked(world, scene, resolution)
 
 
 def marked(world: World, scene: Scene, resolution: int) -> Elements:
@@ -199,8 +197,7 @@ def _linked(
 ) -> tuple[World, Links]:
     world, elements = prepare(in_working_precision(scene), plan), jax.tree.map(jnp.asarray, elements)
     count = elements.count
-    numbers = jnp.arange(-(-count // ROW) * ROW, dtype=jnp.int32) % count
-    rows = link_rows(world, elements, seed_of(key), numbers.reshape(-1, ROW), directions, follow, lengths)
+    rows = link_rows(world, elements, seed_of(key), jnp.asarray(_rows(count)), directions, follow, lengths)
     return world, jax.tree.map(lambda a: a.reshape(-1, *a.shape[2:])[:count], rows)
 
 
@@ -212,6 +209,11 @@ def _found(
     stored = Stored(jax.tree.map(jnp.asarray, elements), values[None])
     error = _error(world, stored, links, seed_of(key), depth, check)
     return Field(world, stored, steps, spectral_radius(links), error, result, depth)
+
+
+def _rows(count: int) -> np.ndarray:
+    """Numbers of elements in rows of lanes, the last row filled up from the start."""
+    return np.resize(np.arange(count, dtype=np.int32), -(-count // ROW) * ROW).reshape(-1, ROW)
 
 
 def lengths_of(follow: bool, depth: int) -> int:
@@ -249,7 +251,7 @@ def for_picture(
     directions = int(np.clip(1 << round(np.log2(max(wanted / resolution, 1.0))), 16, 1024))
     elements = jax.device_put(marked(world, scene, resolution))
     follow, count = follows(world.plan, elements), elements.count
-    numbers = np.resize(np.arange(count, dtype=np.int32), -(-count // ROW) * ROW).reshape(-1, 1, ROW)
+    numbers = _rows(count)[:, None]
     static = (directions, follow, lengths_of(follow, depth))
     run = program(link_rows, world, elements, seed, numbers[0], static=static, keep=_keep(world))
     rows = list(pool.map(lambda row: jax.tree.map(np.asarray, run(world, elements, seed, row)), numbers))
@@ -270,8 +272,7 @@ class _Probes(eqx.Module):
     def __call__(self, world: World, number: Any, s: Stream) -> path.PathState:
         place = s.child(1)  # the path's own first reflection takes pairs from before the camera's
         _, y, n = sampled(world, self.elements, number, place.pair_at(0), place.pair_at(1)[0])
-        begun = path.start(world, y + n * (4.0 * world.epsilon), -n)
-        return dataclasses.replace(begun, depth=jnp.full_like(begun.depth, -1))
+        return path.start(world, y + n * (4.0 * world.epsilon), -n, depth=-1)
 
 
 def _error(world: World, stored: Stored, links: Links, seed: Any, depth: int, check: int) -> Error:
@@ -279,8 +280,7 @@ def _error(world: World, stored: Stored, links: Links, seed: Any, depth: int, ch
     world, stored, links = sg((world, stored, links))
     b, area = stored.values[0, 0], stored.elements.area[:, None]
     mean = jnp.maximum((area * b).sum(0), 1e-30)
-    bound, norm = residual_bound(links, b)
-    left = jnp.abs(links.emitted + links.apply(b) - b).max()
+    bound, left, norm = residual_bound(links, b)
     largest = jnp.maximum(b.max(), 1e-30)
     certified = norm < 1.0
     truncation = jnp.where(certified, bound, left) / largest if depth < 0 else jnp.zeros(())
@@ -290,12 +290,12 @@ def _error(world: World, stored: Stored, links: Links, seed: Any, depth: int, ch
     unknown = jnp.full_like(mean, jnp.nan)
     if check == 0:
         return Error(truncation, certified, unknown, unknown, noise)
-    numbers = jnp.arange(stored.elements.count, dtype=jnp.int32)
+    count = stored.elements.count
     depths = path.Depths(jnp.int32(depth if depth < 0 else depth - 1), jnp.int32(5), jnp.asarray(False))
-    lanes = (jnp.arange(-(-len(numbers) // ROW) * ROW, dtype=jnp.int32) % len(numbers)).reshape(-1, ROW, 1)
+    lanes = jnp.asarray(_rows(count)[..., None])
     probes = _Probes(stored.elements)
     sums = path.trace_rows(world, probes, depths, combine(seed, 7), lanes, jnp.int32(0), jnp.int32(check))[0]
-    sums = sums.reshape(-1, *sums.shape[3:])[: len(numbers)]  # (E, sets, C)
+    sums = sums.reshape(-1, *sums.shape[3:])[:count]  # (E, sets, C)
     sets = sums.shape[1]
     off = sums * (sets / check) - b[:, None]
     share = area / mean[None]

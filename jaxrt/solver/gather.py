@@ -18,9 +18,6 @@ from ..world import World
 from . import path
 from .elements import Elements, element_of
 
-KEPT = 16
-"""Partial sums of the series that a field of finite depth holds, the longest first, then 0 or the shortest."""
-
 
 class Stored(eqx.Module):
     """Exitant reflected radiance of each element, (H, J, E, C), of H fields found apart.

@@ -18,10 +18,10 @@ from ..compiler import one_function
 from ..rules import met_share
 from ..sampling.sobol import Stream, combine
 from ..surface import _row, radiance_of, surface_point
-from ..vector import Spectrum, Vec3, dot, normalise, safe_sqrt, where
+from ..vector import Spectrum, dot, normalise, safe_sqrt, where
 from ..world import FACE, World
 from . import path
-from .elements import BLACK, Elements, cornered, element_of, place, sampled
+from .elements import BLACK, Elements, element_of, in_piece, sampled
 
 FARTHEST = 64
 """Reflections after which a link that found no element is given up."""
@@ -90,9 +90,8 @@ def begin(world: World, elements: Elements, seed: Any, e: Any, k: Any) -> Begun:
     """Link k of element e, about to land on its own beginning."""
     s = _stream(seed, e, k)
     face, y, n = sampled(world, elements, e, s.pair_at(0), s.pair_at(1)[0])
-    begun = path.start(world, y + n, -n)
-    depth, none = jnp.full_like(begun.depth, -1), jnp.zeros_like(begun.alive)
-    return Begun(replace(begun, depth=depth, pdf=0.0 * begun.pdf, delta=none), face)
+    begun = path.start(world, y + n, -n, depth=-1)
+    return Begun(replace(begun, pdf=0.0 * begun.pdf, delta=jnp.zeros_like(begun.alive)), face)
 
 
 def _stream(seed: Any, e: Any, k: Any) -> Stream:
@@ -258,15 +257,11 @@ def stands_on(world: World, elements: Elements, rows: Any) -> Any:
     def one(e: Any) -> Any:
         piece = _row(elements.first, e)
         row, face = _row(elements.rectangle, piece), _row(elements.face, piece)
-
-        def point(a: float, b: float) -> tuple[Vec3, Vec3]:
-            back = (3.0 - row[6]) % 3.0
-            return place(world, face, *cornered(row[0] + a * row[2], row[1] + b * row[3], back))
-
+        point = lambda a, b: in_piece(world, face, row, a, b)
         (whole, n), (half, _) = point(0.5, 0.5), point(1 / 3, 1 / 3)
         middle = where(row[4] > 0, half, whole)
         size = _row(elements.size, e)
-        lift = n * (row[5] * (4.0 * world.epsilon + 0.01 * jnp.where(size < jnp.inf, size, 0.0)))
+        lift = n * (4.0 * world.epsilon + 0.01 * jnp.where(size < jnp.inf, size, 0.0))
         blocked = jnp.zeros_like(face, dtype=bool)
         for a, b in ((0, 0), (1, 0), (0, 1), (1, 1)):
             to = point(a, b)[0] - middle

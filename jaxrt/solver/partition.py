@@ -8,7 +8,7 @@ import numpy as np
 
 from ..brdf import LOBES, MaterialColumns
 from ..scene import KINDS, Scene
-from ..world import FACE, World
+from ..world import AREA, FACE, World
 from .elements import Elements
 
 EVERYWHERE = 0.25
@@ -50,9 +50,8 @@ def partition(
     """About `resolution` elements, each cell cut further into `levels`² parts; and the cell of each element."""
     faces, geometry = sum(world.blocks), np.asarray(world.geometry, np.float64)
     diffuse, black = diffuse_sides(world, scene)
-    factor = {"triangle": 0.5, "parallelogram": 1.0, "disk": np.pi, "sphere": 4 * np.pi, "cylinder": 2 * np.pi}
     area = np.linalg.norm(np.cross(geometry[:, 3:6], geometry[:, 6:9]), axis=1)
-    area = area * np.repeat([factor[k] for k in KINDS], world.blocks)
+    area = area * np.repeat([AREA[k] for k in KINDS], world.blocks)  # in numpy: `face_areas` would start JAX op by op
     sides = np.flatnonzero(diffuse & np.tile(area > 0, 2))
     face = sides % max(faces, 1)
     kind = np.searchsorted(np.cumsum(world.blocks), face, side="right")
@@ -87,7 +86,7 @@ def partition(
     within = np.arange(offset[-1]) - offset[cell]
     k = level[cell]
     a = np.where(half[cell], _row_of_triangle(within, k), within // k)
-    b = within - np.where(half[cell], a * k - a * (a - 1) // 2, a * k)
+    b = within - np.where(half[cell], _before_row(a, k), a * k)
     s = of[cell]
     cut = half[cell] & (a + b == k - 1)
     at_u, at_v = (i[cell] * k + a) / (nu[s] * k), (j[cell] * k + b) / (nv[s] * k)
@@ -103,7 +102,7 @@ def partition(
     # Elements: a piece each, but small faces of one shape that lie together and look the same way share one.
     element = np.arange(len(cell))
     if clustered:
-        element = _clusters(world, scene, element, small[s], face[s], front, geometry, h)
+        element = _clusters(scene, element, small[s], face[s], front, geometry, h)
     order = np.argsort(element, kind="stable")
     members = np.bincount(element, minlength=element.max(initial=-1) + 1)
     # The grid of a side is as fine as its finest cell.
@@ -121,7 +120,7 @@ def partition(
     k = level[c]
     a, b = (fi % m) * k // m, (fj % m) * k // m
     b = np.where(half[c], np.minimum(b, k - 1 - a), b)
-    local = np.where(half[c], a * k - a * (a - 1) // 2, a * k) + b
+    local = np.where(half[c], _before_row(a, k), a * k) + b
     cells = element[np.minimum(offset[c] + local, max(len(element) - 1, 0))] + 1 if len(element) else np.zeros(0, int)
 
     grid = np.zeros((2 * faces + 1, 4), np.int32)
@@ -153,16 +152,20 @@ def partition(
     return Elements(**arrays, clustered=clustered, everywhere=everywhere), cell
 
 
+def _before_row(a: np.ndarray, k: np.ndarray) -> np.ndarray:
+    """How many come before row a, in rows of length k, k − 1, ..."""
+    return a * k - a * (a - 1) // 2
+
+
 def _row_of_triangle(within: np.ndarray, k: np.ndarray) -> np.ndarray:
     """The row of number `within` in rows of length k, k − 1, ..."""
     a = np.floor((2 * k + 1 - np.sqrt(np.maximum((2 * k + 1.0) ** 2 - 8 * within, 0))) / 2).astype(int)
-    before = lambda a: a * k - a * (a - 1) // 2
-    a = np.where(before(a) > within, a - 1, a)
-    return np.where(before(a + 1) <= within, a + 1, a)
+    a = np.where(_before_row(a, k) > within, a - 1, a)
+    return np.where(_before_row(a + 1, k) <= within, a + 1, a)
 
 
 def _clusters(
-    world: World, scene: Scene, element: np.ndarray, small: np.ndarray, face: np.ndarray, front: np.ndarray,
+    scene: Scene, element: np.ndarray, small: np.ndarray, face: np.ndarray, front: np.ndarray,
     geometry: np.ndarray, h: float,
 ) -> np.ndarray:  # fmt: skip
     """Numbers of elements in which small faces of one shape, one box of side h, one axis and one side come together."""
@@ -176,5 +179,4 @@ def _clusters(
     keys = np.stack([shape, *box.T, axis, front], -1).astype(np.int64)
     keys[~small] = 0
     keys = np.concatenate([keys, np.where(small, 0, 1 + element)[:, None]], -1)
-    number = np.unique(keys, axis=0, return_inverse=True)[1].reshape(-1)
-    return number
+    return np.unique(keys, axis=0, return_inverse=True)[1].reshape(-1)

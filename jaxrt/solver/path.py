@@ -55,7 +55,7 @@ class PathState(eqx.Module):
     scattered: Any = None  # with a field: whether the path has left a diffuse surface
 
 
-def start(world: World, o: Vec3, d: Vec3) -> PathState:
+def start(world: World, o: Vec3, d: Vec3, depth: int = 0) -> PathState:
     one = jnp.ones_like(o.x + d.x)
     channels = world.plan.channels
     return PathState(
@@ -65,7 +65,7 @@ def start(world: World, o: Vec3, d: Vec3) -> PathState:
         radiance=Spectrum.full(channels, 0.0 * one),
         pdf=one,
         delta=jnp.ones(one.shape, bool),
-        depth=jnp.zeros(one.shape, jnp.int32),
+        depth=jnp.full(one.shape, depth, jnp.int32),
         alive=jnp.ones(one.shape, bool),
     )
 
@@ -273,19 +273,9 @@ def trace(
     return sums.reshape(n, pixels, sets, -1), rays
 
 
-def trace_rows(
-    world: World,
-    begin: Any,
-    depths: Depths,
-    seed: Any,
-    rows: Any,
-    first: Any,
-    last: Any,
-    field: Any = None,
-    sets: int = SETS,
-) -> Any:
-    """`trace` for each row of pixels, one after another."""
-    return jax.lax.map(lambda numbers: trace(world, begin, depths, seed, numbers, first, last, field, sets), rows)
+def trace_rows(world: World, begin: Any, depths: Depths, seed: Any, rows: Any, *rest: Any) -> Any:
+    """`trace` for each row of pixels, one after another; `rest`: its arguments after those."""
+    return jax.lax.map(lambda numbers: trace(world, begin, depths, seed, numbers, *rest), rows)
 
 
 def _loop(

@@ -104,11 +104,11 @@ def render(
     """A picture with its standard error.
 
     `spp`: samples a pixel, by default what the scene file asks. `method`: path, or field: paths end in a field that is
-    solved first; auto is path so far. `max_depth` as Mitsuba counts it (1:
-    emission only; −1: no end). `plan`: by default specialised on all values of the scene. `chunk`: pixels
-    in flight a core, by default what is fastest; the same seed, plan and chunk give the same bits, another
-    chunk the same within rounding. `memory`: bytes that picture and pixels in flight may take, by default a
-    quarter of the machine's. `progress`: called with the share done. Raises `SceneError` for wrong arguments.
+    solved first; auto is path so far. `max_depth` as Mitsuba counts it (1: emission only; −1: no end). `plan`: by
+    default specialised on all values of the scene. `chunk`: pixels in flight a core, by default what is fastest; the
+    same seed, plan and chunk give the same bits, another chunk the same within rounding. `memory`: bytes that picture
+    and pixels in flight may take, by default a quarter of the machine's. `progress`: called with the share done.
+    Raises `SceneError` for wrong arguments.
     """
     if method not in ("auto", "path", "field"):
         raise SceneError(f"method: {method!r} is not known; give auto, path or field")
