@@ -111,6 +111,11 @@ def _whole(least: int, most: int = (1 << 31) - 1) -> Callable[[str], int]:
     return read
 
 
+def _sensors(text: str) -> list[int] | None:
+    """Numbers of sensors; None for all."""
+    return None if text == "all" else [_whole(0)(part) for part in text.split(",")]
+
+
 def _size(text: str) -> tuple[int, int]:
     match = re.fullmatch(r"([0-9]{1,9})x([0-9]{1,9})", text)
     width, height = (int(match[1]), int(match[2])) if match else (0, 0)
@@ -167,7 +172,10 @@ def _parser() -> argparse.ArgumentParser:
     add("--method", choices=("auto", "path", "field"), default="auto", help="how the equation is solved")
     add("--seed", metavar="S", type=_whole(0, (1 << 62)), default=0, help="the same seed gives the same picture")
     add("--size", metavar="WxH", type=_size, help="size of the picture in pixels")
-    add("--sensor", metavar="I", type=_whole(0), default=0, help="number of the scene's sensor, from 0")
+    add(
+        "--sensor", metavar="I", type=_sensors, default=[0],
+        help="number of the scene's sensor, from 0; several (0,2) or all write out-I.exr and share one field",
+    )  # fmt: skip
     add("--memory", metavar="MB", type=_whole(1), help="what the render may take; default: a quarter of the machine's")
     add("--exposure", metavar="E", type=_stops, default=0.0, help="brightness of the PNG in stops")
     render.set_defaults(run=_render)
@@ -191,31 +199,42 @@ def _render(args: argparse.Namespace) -> None:
     scene = _load(args)
     from .solver.render import render, resized
 
-    if args.size:
-        scene = resized(scene, args.sensor, *args.size)
+    sensors = range(len(scene.structure.sensors)) if args.sensor is None else args.sensor
+    for sensor in sensors if args.size else ():
+        scene = resized(scene, sensor, *args.size)
     with _progress() as progress:
-        sol = render(
+        found = render(
             scene,
             args.spp,
             args.seed,
             method=args.method,
             max_depth=args.max_depth,
-            sensor=args.sensor,
+            sensor=list(sensors),
             memory=args.memory * 1e6 if args.memory else None,
             progress=progress,
         )
-    sol.save(exr)
-    sol.save(png, args.exposure)
-    if sol.stats["nonfinite"]:
-        print(f"jaxrt: {sol.stats['nonfinite']} values are not finite; they are magenta in {png}", file=sys.stderr)
-    print(f"{exr}, {png}: {_closing(sol)}")
+    for sensor, sol in zip(sensors, found, strict=True):
+        files = [f if len(found) == 1 else f.with_stem(f"{f.stem}-{sensor}") for f in (exr, png)]
+        sol.save(files[0])
+        sol.save(files[1], args.exposure)
+        if "unsolved" in sol.stats:
+            print(
+                f"jaxrt: {files[0]}: is not right, for the field was not found: {sol.stats['unsolved']}",
+                file=sys.stderr,
+            )
+        if sol.stats["nonfinite"]:
+            print(
+                f"jaxrt: {sol.stats['nonfinite']} values are not finite; they are magenta in {files[1]}",
+                file=sys.stderr,
+            )
+        print(f"{files[0]}, {files[1]}: {_closing(sol)}")
 
 
 def _closing(sol: Solution) -> str:
     height, width = sol.image.shape[:2]
     s, error = sol.stats, sol.relative_error
     return (
-        f"{width}x{height}, {s['spp']} samples a pixel, compiled in {s['seconds_compile']:.1f} s, "
+        f"{width}x{height}, {s['spp']} samples a pixel by {s['method']}, compiled in {s['seconds_compile']:.1f} s, "
         f"ran {s['seconds_run']:.1f} s, relative error {'unknown' if math.isnan(error) else f'{error:.2%}'}"
     )
 

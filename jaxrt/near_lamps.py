@@ -58,7 +58,7 @@ def _compare(surfaces: np.ndarray, lamps: np.ndarray, four: np.ndarray) -> bool:
         return False
     of_lamp = chosen(lamps)
     surface, lamp, four = surfaces[chosen(surfaces)], lamps[of_lamp], four[of_lamp]
-    to = points(lamp, 64, ~four) - points(surface, 1, np.ones(len(surface), bool))
+    to = points(lamp, 16, ~four) - points(surface, 1, np.ones(len(surface), bool))
     area = size(lamp) * np.where(four, 1.0, 0.5)
     g = area[:, None] * np.maximum(-cosines(to, lamp), 0.0) / np.maximum((to**2).sum(-1), 1e-30)
     c = np.abs(cosines(to, surface))

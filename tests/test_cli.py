@@ -102,7 +102,7 @@ def refused(capsys, folder):
 def test_render_writes_an_exr_and_a_png_and_one_closing_line(run, folder):
     (line,) = run("render", CORNELL, *TINY, "--seed", 7, "--max-depth", 3)
     assert re.fullmatch(
-        r"cornell_box\.exr, cornell_box\.png: 16x16, 4 samples a pixel, compiled in \d+\.\d s, "
+        r"cornell_box\.exr, cornell_box\.png: 16x16, 4 samples a pixel by path, compiled in \d+\.\d s, "
         r"ran \d+\.\d s, relative error \d+\.\d\d%",
         line,
     )
@@ -160,6 +160,15 @@ def test_another_sensor(run, scene):
     wide = sensor.replace('name="width" value="16"', 'name="width" value="24"')
     run("render", scene((sensor, sensor + wide)), "--sensor", 1)
     assert read_exr("scene.exr")[0].shape == (16, 24, 3)
+
+
+def test_several_sensors(run, scene):
+    begin, end = SCENE.index("<sensor"), SCENE.index("</sensor>") + 9
+    sensor = SCENE[begin:end]
+    run("render", scene((sensor, sensor + sensor.replace('value="16"', 'value="8"'))), "--sensor", "all")
+    assert read_exr("scene-0.exr")[0].shape == (16, 16, 3)
+    assert read_exr("scene-1.exr")[0].shape == (8, 8, 3)
+    assert not Path("scene.exr").exists()
 
 
 def test_a_terminal_gets_a_progress_bar(monkeypatch, scene, capsys):

@@ -75,7 +75,7 @@ def main() -> None:
     for file in args.scenes or SCENES:
         scene = jaxrt.load(file, res=size)
         truth = reference(scene, 1024 if quick else 4096)
-        ladder = [n for n in (1, 2, 4, 8, 16, 32, 64, 128, 256) if n <= most]
+        ladder = [n for n in (1, 2, 3, 4, 8, 16, 32, 64, 128, 256) if n <= most]
         found: dict[str, Any] = {}
         for method in ("field", "path"):
             found[f"jaxrt {method}"] = curve(

@@ -7,11 +7,13 @@ scrambling"; padding as in Kollig and Keller 2002). Every power of two of consec
 
 from __future__ import annotations
 
+import functools
 from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, PRNGKeyArray, UInt32
 
 _U = jnp.uint32
@@ -104,10 +106,16 @@ class Drawn(eqx.Module):
         return self.pairs[k]
 
 
+@functools.lru_cache(4096)
+def _seed_of_number(key: int) -> np.uint32:
+    """Kept, for JAX takes 2 ms for these few operations one by one."""
+    return np.uint32(combine(hash_u32(_U(key & 0xFFFFFFFF)), _U(key >> 32)))
+
+
 def seed_of(key: PRNGKeyArray | Array | int) -> UInt32[Array, ""]:
     """32 bits from a JAX key (new or old style) or a whole number, traced or not: a key only seeds the hash."""
     if isinstance(key, int):  # of any size
-        return combine(hash_u32(_U(key & 0xFFFFFFFF)), _U((key >> 32) & 0xFFFFFFFF))
+        return jnp.asarray(_seed_of_number(key & 0xFFFFFFFFFFFFFFFF))
     if jnp.issubdtype(jnp.asarray(key).dtype, jax.dtypes.prng_key):
         key = jax.random.key_data(key)
     key = jnp.asarray(key)

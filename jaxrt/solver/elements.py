@@ -30,7 +30,8 @@ class Elements(eqx.Module):
     `grid`, for each side: first cell, cells along both coordinates, and the corner from which those count. `cells`: the
     element of each cell. An element consists of pieces `first[e]` to `first[e + 1]` − 1; a piece is a rectangle in
     the coordinates of a face: rows of `rectangle` are where it starts, its extents, whether only its lower triangle
-    counts, the side (±1) and the corner. `ends`: cumulative areas of pieces, m². `size`: the shorter extent of each
+    counts, the side (±1) and the corner. `span`: cells of the grid along each side of an element, 0 where it has
+    another shape. `ends`: cumulative areas of pieces, m². `size`: the shorter extent of each
     element (m), infinite where another surface stands on it, 0 for padding and black. `everywhere`: whether so much
     of M emits that light is rather met than sampled.
     """
@@ -41,6 +42,7 @@ class Elements(eqx.Module):
     face: Int32[Array, " P"]
     rectangle: Float[Array, "P 7"]
     ends: Float[Array, " P"]
+    span: Int32[Array, " E"]
     size: Float[Array, " E"]
     area: Float[Array, " E"]
     clustered: bool = eqx.field(static=True)
@@ -53,14 +55,41 @@ class Elements(eqx.Module):
 
 def element_of(world: World, elements: Elements, x: SurfacePoint, w: Vec3) -> Any:
     """The element in which x lies, seen along ω; −1 where there is none: mirrors, gloss, instances, the enclosure."""
+    (first, nu, nv), at = _in_grid(world, elements, x, w)
+    i, j = (jnp.clip(jnp.floor(c).astype(jnp.int32), 0, n - 1) for c, n in zip(at, (nu, nv), strict=True))
+    return jnp.where(nu > 0, _row(elements.cells, first + i * nv + j), -1)
+
+
+def _in_grid(world: World, elements: Elements, x: SurfacePoint, w: Vec3) -> tuple[tuple[Any, ...], tuple[Any, Any]]:
+    """The grid of the side on which x is seen (first cell, cells along both coordinates), and where x lies in it."""
     faces = sum(world.blocks)
     known = (x.face >= 0) & (x.face < faces)
     side = jnp.where(known, x.face + jnp.where(dot(x.normal, w) < 0, faces, 0), 2 * faces)
     row = _row(elements.grid, side)
-    first, nu, nv = row[0], row[1], row[2]
     a, b = (graded(c) for c in cornered(*coordinates(world, x), row[3]))
-    i, j = (jnp.clip(jnp.floor(c * n).astype(jnp.int32), 0, n - 1) for c, n in ((a, nu), (b, nv)))
-    return jnp.where(nu > 0, _row(elements.cells, first + i * nv + j), -1)
+    return (row[0], row[1], row[2]), (a * row[1], b * row[2])
+
+
+def around(world: World, elements: Elements, x: SurfacePoint, w: Vec3) -> tuple[tuple[Any, Any], ...]:
+    """The four elements whose middles lie around x, with bilinear weights; those that cannot be looked at have none."""
+    (first, nu, nv), at = _in_grid(world, elements, x, w)
+    own = element_of(world, elements, x, w)
+    span = jnp.maximum(_row(elements.span, jnp.maximum(own, 0)), 1)
+
+    def two(c: Any, n: Any) -> tuple[tuple[Any, Any], ...]:
+        c = c / span - 0.5
+        low = jnp.floor(c)
+        cell = lambda k: jnp.clip(jnp.clip(k.astype(jnp.int32), 0, n // span - 1) * span + span // 2, 0, n - 1)
+        return (cell(low), 1.0 - (c - low)), (cell(low + 1.0), c - low)
+
+    found = []
+    for i, f in two(at[0], nu):
+        for j, g in two(at[1], nv):
+            element = _row(elements.cells, first + i * nv + j)
+            size = _row(elements.size, element)
+            found.append((element, f * g * jnp.where((size > 0) & (size < jnp.inf), 1.0, 0.0)))
+    total = sum(weight for _, weight in found)
+    return tuple((element, weight / jnp.where(total > 0, total, 1.0)) for element, weight in found)
 
 
 def graded(s: Any) -> Any:

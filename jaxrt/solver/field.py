@@ -13,7 +13,7 @@ import optimistix as optx
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
-from ..compiler import program
+from ..compiler import cores, program
 from ..effects import Plan
 from ..effects import plan as make_plan
 from ..parts import SceneError
@@ -26,21 +26,26 @@ from . import path
 from .elements import Elements, element_of, sampled
 from .equilibrium import SOLVERS, residual_bound, series, solve_links, spectral_radius
 from .gather import Stored
-from .links import LENGTHS, Links, link_rows, stands_on
+from .links import LENGTHS, Links, link_rows
 from .partition import FINER, partition
+from .probe import lit, stood_on
 
-ROW = 256
-"""Elements that are linked together in one row of lanes."""
+ROW, PART = 256, 1024
+"""Elements that are linked together in one row of lanes; and those of a program, for a picture, at most."""
 
-LINKS, GATHERS, NEAR_FROM = 1 / 8, 4, 1024
-"""For pictures: links of the field for each path, directions that a path looks into, and samples a pixel from which
-elements are not looked at from nearer than their size."""
+LINKS, GATHERS, LOOKS, NEAR_FROM = 1 / 8, 4, 16, 1024
+"""For pictures: links of the field for each path; directions that a path looks into; samples a pixel up to which paths
+look at elements themselves; and those from which elements are not looked at from nearer than their size."""
 
 KEPT = 16
 """Partial sums of the series that a field of finite depth holds, the longest first, then 0 or the shortest."""
 
-MOST = 1 << 22
-"""Links of a picture's field, at most: 16 bytes each where they carry a weight."""
+UNEVEN = 1.0
+"""Direct light that falls on the wrong quarter of an element, in shares of what elements reflect on average, from which
+a cell is cut."""
+
+LEAST, MOST = 1 << 15, 1 << 22
+"""Links of a picture's field, at least and at most: 16 bytes each where they carry a weight."""
 
 
 class Error(eqx.Module):
@@ -63,7 +68,8 @@ class Field(eqx.Module):
     """R̃, an approximation of R = L − L⁰, as a radiance function (x, ω, s) -> Spectrum, and how it was found.
 
     On diffuse surfaces it is what their element stores (W·m⁻²·sr⁻¹), elsewhere it follows one path with samples s.
-    `result`: an `optimistix.RESULTS`; not successful where the solver did not converge or no solution exists.
+    `result`: an `optimistix.RESULTS`; not successful where the solver did not converge or no solution exists, and
+    `why` says which.
     """
 
     world: World
@@ -105,6 +111,13 @@ class Field(eqx.Module):
         """Exitant reflected radiance of each element, the black one and padding among them."""
         return self.stored.values[0, 0]
 
+    @property
+    def why(self) -> str:
+        """What became of the solve, in words."""
+        if self.result == optx.RESULTS.successful:
+            return f"solved in {int(self.iterations)} steps"
+        return unsolved(float(self.spectral_radius))
+
     def save(self, file: Any) -> None:
         """The radiance on M as a PLY mesh of elements with float colours, and 8 bits for any viewer. Atomic."""
         from ..files.field import write_field
@@ -120,24 +133,36 @@ def elements_of(scene: Scene, plan: Plan | None = None, resolution: int = 4096) 
     return marked(world, scene, resolution)
 
 
-def marked(world: World, scene: Scene, resolution: int) -> Elements:
-    """A partition, finer where another surface stands on it; elements that it still stands on are of infinite size."""
+def marked(world: World, scene: Scene, resolution: int, seed: Any = 0) -> Elements:
+    """A partition, finer where another surface stands on it or lights shine unevenly; elements on which something
+    stands still are of infinite size."""
 
     def standing(elements: Elements) -> np.ndarray:
-        rows = np.arange(elements.count, dtype=np.int32)[None]
-        run = program(stands_on, world, elements, rows, keep=_keep(world))
-        return np.asarray(run(world, elements, rows)).reshape(-1)
+        """Of each element; those of several pieces are not asked. In parts of one size, for one program."""
+        first = elements.first[:-1]
+        size = np.where(np.diff(elements.first) == 1, elements.size, 0.0).astype(elements.size.dtype)
+        pieces = elements.rectangle[first], elements.face[first], size
+        parts = [
+            tuple(np.resize(a[k : k + PART], (PART, *a.shape[1:])) for a in pieces) for k in range(0, len(size), PART)
+        ]
+        run = program(stood_on, world, *parts[0], keep=_keep(world))
+        return np.concatenate([np.asarray(run(world, *part)) for part in parts])[: len(size)]
 
-    elements, cell = partition(world, scene, resolution)
-    if elements.clustered:
-        return elements
+    elements, owner, cell = partition(world, scene, resolution)
     stands = standing(elements)
-    if not stands.any():
-        return elements
-    levels = np.ones(cell.max() + 1, int)
-    levels[cell[np.flatnonzero(stands) - 1]] = FINER
-    elements, _ = partition(world, scene, resolution, levels)
-    size = np.where(standing(elements), np.inf, elements.size)
+    finer = np.where(stands, FINER, 1)
+    if world.plan.lights:
+        args = world, elements, np.uint32(seed), np.arange(elements.count, dtype=np.int32)[None]
+        light, spread = (np.asarray(a)[0] for a in program(lit, *args, keep=_keep(world))(*args))
+        lost = elements.area * spread * resolution / max(float((elements.area * light).sum()), 1e-30)
+        parts = np.exp2(np.ceil(0.5 * np.log2(np.clip(lost / UNEVEN, 1.0, FINER**2))))
+        finer = np.maximum(finer, parts.astype(int))
+    if finer.max() > 1:
+        levels = np.ones(cell.max() + 1, int)
+        np.maximum.at(levels, cell, finer[owner])
+        elements, *_ = partition(world, scene, resolution, levels)
+        stands = standing(elements)
+    size = np.where(stands, np.inf, elements.size)
     return dataclasses.replace(elements, size=size.astype(elements.size.dtype))
 
 
@@ -179,9 +204,17 @@ def solve(
         if any(isinstance(a, Tracer) for a in jax.tree.leaves(scene)):
             raise ValueError("solve: elements cannot be made of a traced scene; give elements=jaxrt.elements_of(scene)")
         elements = elements_of(scene, plan, resolution)
-    follow = follows(plan, elements)
-    world, links = _linked(scene, plan, elements, key, int(directions), follow, lengths_of(follow, depth))
+    key = jnp.asarray(seed_of(key))  # a whole number would be compiled in
+    world, links = links_of(scene, plan, elements, key, int(directions), depth)
     return _found(world, elements, links, key, rtol, solver, depth, int(check))
+
+
+def links_of(
+    scene: Scene, plan: Plan, elements: Elements, key: Any, directions: int, depth: int = -1
+) -> tuple[World, Links]:
+    """The operator T between elements, and the world in which it was sampled."""
+    follow = follows(plan, elements)
+    return _linked(scene, plan, elements, key, directions, follow, lengths_of(follow, depth))
 
 
 def follows(plan: Plan, elements: Elements) -> bool:
@@ -197,7 +230,7 @@ def _linked(
 ) -> tuple[World, Links]:
     world, elements = prepare(in_working_precision(scene), plan), jax.tree.map(jnp.asarray, elements)
     count = elements.count
-    rows = link_rows(world, elements, seed_of(key), jnp.asarray(_rows(count)), directions, follow, lengths)
+    rows = link_rows(world, elements, key, jnp.asarray(_rows(count)), directions, follow, lengths)
     return world, jax.tree.map(lambda a: a.reshape(-1, *a.shape[2:])[:count], rows)
 
 
@@ -207,13 +240,13 @@ def _found(
 ) -> Field:
     values, steps, result = settled(links, rtol, solver, depth)
     stored = Stored(jax.tree.map(jnp.asarray, elements), values[None])
-    error = _error(world, stored, links, seed_of(key), depth, check)
+    error = _error(world, stored, links, key, depth, check)
     return Field(world, stored, steps, spectral_radius(links), error, result, depth)
 
 
-def _rows(count: int) -> np.ndarray:
+def _rows(count: int, size: int = ROW) -> np.ndarray:
     """Numbers of elements in rows of lanes, the last row filled up from the start."""
-    return np.resize(np.arange(count, dtype=np.int32), -(-count // ROW) * ROW).reshape(-1, ROW)
+    return np.resize(np.arange(count, dtype=np.int32), -(-count // size) * size).reshape(-1, size)
 
 
 def lengths_of(follow: bool, depth: int) -> int:
@@ -221,22 +254,27 @@ def lengths_of(follow: bool, depth: int) -> int:
     return LENGTHS if follow and depth >= 0 else 1
 
 
-def settled(links: Links, rtol: Any, solver: Any, depth: int) -> tuple[Any, Any, Any]:
-    """What elements store, (J, E, C), how often T was applied, and a result."""
+def settled(links: Links, rtol: Any, solver: Any, depth: int, before: bool = False) -> tuple[Any, Any, Any]:
+    """What elements store, (J, E, C), how often T was applied, and a result.
+
+    `before`: only light that was reflected before it came here, with one more edge.
+    """
+    direct = links.direct.mean(1)[:, 0] * float(before)
     if depth < 0:
         b, steps, result = solve_links(links, rtol, solver)
-        return b[None], steps, result
-    edges = max(depth - 2, 1)
-    levels = series(links, edges)[::-1][: KEPT + 1] if depth > 2 else 0.0 * links.emitted[None]
+        return (b - direct)[None], steps, result
+    edges = max(depth - 2, 1) + before
+    levels = series(links, edges)[::-1][: KEPT + 1] - direct[None] if depth > 2 else 0.0 * links.emitted[None]
     if len(levels) < KEPT + 1:
         levels = jnp.concatenate([levels, 0.0 * levels[:1]])
     return levels, jnp.int32(edges - 1), optx.RESULTS.successful
 
 
-def _halves(links: Links, rtol: Any, solver: Any, depth: int) -> tuple[Any, Any]:
-    """`settled` for each half of the links, (2, J, E, C), and how often T was applied."""
-    found = [settled(links.half(k), rtol, solver, depth) for k in (0, 1)]
-    return jnp.stack([values for values, _, _ in found]), found[0][1]
+def _halves(links: Links, rtol: Any, solver: Any, depth: int, before: bool) -> tuple[Any, Any, Any]:
+    """`settled` for each half of the links, (2, J, E, C), how often T was applied, and whether that sufficed."""
+    found = [settled(links.half(k), rtol, solver, depth, before) for k in (0, 1)]
+    good = [result == optx.RESULTS.successful for *_, result in found]
+    return jnp.stack([values for values, *_ in found]), found[0][1], good[0] & good[1]
 
 
 def for_picture(
@@ -246,21 +284,47 @@ def for_picture(
 
     Links are a share of the paths, so that solving takes a share of the time whatever accuracy is asked.
     """
-    wanted = min(paths * LINKS, MOST)
-    resolution = int(np.clip(6.0 * np.sqrt(wanted), 256, 1 << 15))
-    directions = int(np.clip(1 << round(np.log2(max(wanted / resolution, 1.0))), 16, 1024))
+    wanted = np.sqrt(np.clip(paths * LINKS, LEAST, MOST))
+    looks = spp <= LOOKS and world.plan.lights and not world.plan.enclosure  # an enclosure is no light to sample
+    gathers = 0 if looks else GATHERS
+    share = 6.0 if gathers else 3.0  # what is looked at itself has to be even rather than fine
+    resolution = int(np.clip(share * wanted, 256, 1 << 15))
+    directions = int(np.clip(1 << round(np.log2(max(wanted / share, 1.0))), 16, 1024))
     elements = jax.device_put(marked(world, scene, resolution))
     follow, count = follows(world.plan, elements), elements.count
-    numbers = _rows(count)[:, None]
+    threads = cores()
+    parts = threads * -(-count // (threads * PART))  # as many for every thread
+    numbers = _rows(count, -(-count // parts))[:, None]
     static = (directions, follow, lengths_of(follow, depth))
     run = program(link_rows, world, elements, seed, numbers[0], static=static, keep=_keep(world))
     rows = list(pool.map(lambda row: jax.tree.map(np.asarray, run(world, elements, seed, row)), numbers))
     links = jax.tree.map(lambda *a: np.concatenate([b[0] for b in a])[:count], *rows)
     near = np.asarray(min(1.0, spp / NEAR_FROM), elements.size.dtype)
     args = links, np.asarray(1e-3, near.dtype)
-    values, steps = program(_halves, *args, static=("anderson", depth))(*args)
-    stored = Stored(elements, values, near, GATHERS)
-    return stored, {"elements": count, "directions": directions, "field_iterations": int(steps)}
+    values, steps, good = program(_halves, *args, static=("anderson", depth, gathers == 0))(*args)
+    stored = Stored(elements, values, near, block_of(spp), gathers)
+    said = {"elements": count, "directions": directions, "field_iterations": int(steps)}
+    if not good:
+        said["unsolved"] = unsolved(float(program(spectral_radius, links)(links)))
+    return stored, said
+
+
+def unsolved(radius: float) -> str:
+    """Why a field was not found, from the spectral radius of its T, and what helps."""
+    if radius > 1.0 - 1e-4:
+        return (
+            f"no solution exists: the spectral radius of KG is {radius:.6f}, so light grows at every bounce; "
+            "lower an albedo, open the scene or give a finite max_depth"
+        )
+    return (
+        f"the solver did not converge in the steps it has (spectral radius of KG {radius:.6f}); "
+        "give a larger rtol, the solver gmres, or a finite max_depth"
+    )
+
+
+def block_of(spp: int) -> np.ndarray:
+    """Samples that follow one another in one set of a pixel: half of those there are, or of the power of two below."""
+    return np.asarray(max(1 << (int(spp).bit_length() - 2), 1) if spp > 1 else 1, np.int32)
 
 
 class _Probes(eqx.Module):

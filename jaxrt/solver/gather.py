@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+import operator
 from dataclasses import replace
 from typing import Any
 
@@ -16,31 +18,37 @@ from ..surface import SurfacePoint, _row, is_diffuse, leave, radiance_of, surfac
 from ..vector import Spectrum, Vec3, where
 from ..world import World
 from . import path
-from .elements import Elements, element_of
+from .elements import Elements, around, element_of
+
+EVEN = 1.5
+"""By so much, relative to what lies between, elements around a point may differ to be looked at from the camera."""
 
 
 class Stored(eqx.Module):
     """Exitant reflected radiance of each element, (H, J, E, C), of H fields found apart.
 
-    Sample i of a pixel looks into field i mod H, so that what differs between them shows in the picture's error. J is 1
+    Set h of a pixel's samples looks into field h mod H, so that what differs between them shows in the picture's error;
+    `block`: samples that follow one another in a set. J is 1
     for a fixed point; where the depth of paths is finite, row j holds the series up to as many edges as are left after
     a landing with j + 1 edges before it. From a distance below `near` times its size an element is too coarse to be
-    looked at, and one gathers further. `gathers`: directions that a path looks into where it is reflected.
+    looked at, and one gathers further. `gathers`: directions that a path looks into where it is reflected; 0 where
+    `values` are of light reflected before, which is what a path looks at where it lands, with one more edge.
     """
 
     elements: Elements
     values: Float[Array, "H J E C"]
     near: Any = 1.0
+    block: Any = 1
     gathers: int = eqx.field(static=True, default=1)
 
-    def at(self, element: Any, depth: Any, sample: Any) -> Spectrum:
+    def at(self, element: Any, depth: Any, half: Any) -> Spectrum:
         """What an element stores for a path of `depth` edges before the landing there."""
         fields, levels, count, channels = self.values.shape
         index = jnp.maximum(element, 0)
         if levels > 1:
             index = index + count * jnp.clip(depth - 1, 0, levels - 1)
         if fields > 1:
-            index = index + count * levels * (sample % fields)
+            index = index + count * levels * (half % fields)
         row = _row(self.values.reshape(-1, channels), index)
         return Spectrum(tuple(row[c] for c in range(channels)))
 
@@ -53,14 +61,17 @@ class Stored(eqx.Module):
         )
 
     def bounce(
-        self, world: World, depths: path.Depths, state: path.PathState, s: Stream, sample: Any, face: Any = None
+        self, world: World, depths: path.Depths, state: path.PathState, s: Stream, half: Any, face: Any = None
     ) -> tuple[path.PathState, Any]:
         """One step of a path, split into `gathers`: those that land on a stored element or on nothing end there, and
-        one of the others goes on for all of them, to land again. Also the number of rays cast to see that."""
+        one of the others goes on for all of them, to land again. Also the number of rays cast."""
         landing = path.land(world, depths, state, s, face)
         at, x, n = landing.at, landing.x, self.gathers
         if at is None:
-            return path.reflect(world, depths, state, landing), 0
+            return path.reflect(world, depths, state, landing), 1
+        cast = 1 + jnp.where(landing.alive, n + (landing.light is not None), 0)
+        if n == 0:
+            return self._ended(world, depths, state, landing, half), cast
         asked = landing.alive & (state.scattered | is_diffuse(world, at))
 
         def look(m: Any, carry: Any) -> Any:
@@ -76,7 +87,7 @@ class Stored(eqx.Module):
             lost = ~(node.weight.max() > 0) & (state.before is None)  # black surfaces have derivatives
             ends = asked & (holds | (face < 0) | lost)
             share = met_share(world, y, o, node.w, node.pdf, node.delta)
-            stored = self.at(element, state.depth + 1, sample).map(lambda c: jnp.where(holds, c, 0.0))
+            stored = self.at(element, state.depth + 1, half).map(lambda c: jnp.where(holds, c, 0.0))
             seen = node.weight * (radiance_of(world, y, -node.w) * share + stored)
             total = total + seen.map(lambda c: jnp.where(ends & ~lost, c, 0.0))
             count = count + jnp.where(ends, 0.0, 1.0)
@@ -91,4 +102,25 @@ class Stored(eqx.Module):
         node = Node(w, weight * (count / n), pdf, delta, None)
         light = (state.beta * total * (1.0 / n)).map(lambda c: jnp.where(landing.alive, c, 0.0))
         landing = replace(landing, radiance=landing.radiance + light)
-        return path.reflect(world, depths, state, landing, node), jnp.where(landing.alive, n, 0)
+        return path.reflect(world, depths, state, landing, node), cast
+
+    def _ended(self, world: World, depths: path.Depths, state: path.PathState, landing: Any, half: Any) -> Any:
+        """A path that ends where it landed on an element: light of lights is sampled alone, the rest is looked at.
+
+        It goes on where elements around differ so much that what lies between them is not known.
+        """
+        x, w = landing.x, -state.d
+        element, holds = self.found(world, x, w)
+        held = [(self.at(e, state.depth + 1, half), weight) for e, weight in around(world, self.elements, x, w)]
+        seen = functools.reduce(operator.add, [value * weight for value, weight in held])
+        of = [sum(value.channels) for value, weight in held]
+        of = [jnp.where(weight > 0, v, sum(seen.channels)) for v, (_, weight) in zip(of, held, strict=True)]
+        apart = functools.reduce(jnp.maximum, of) - functools.reduce(jnp.minimum, of)
+        even = (apart <= EVEN * sum(seen.channels)) & (_row(self.elements.span, jnp.maximum(element, 0)) > 0)
+        ends = landing.alive & holds & (even | state.scattered)
+        light = (state.beta * seen).map(lambda c: jnp.where(ends, c, 0.0))
+        landing = replace(landing, radiance=landing.radiance + light)
+        if landing.share is not None:
+            landing = replace(landing, share=jnp.where(ends, 1.0, landing.share))
+        state = path.reflect(world, depths, state, landing)
+        return replace(state, alive=state.alive & ~ends)

@@ -18,10 +18,10 @@ from ..compiler import one_function
 from ..rules import met_share
 from ..sampling.sobol import Stream, combine
 from ..surface import _row, radiance_of, surface_point
-from ..vector import Spectrum, dot, normalise, safe_sqrt, where
+from ..vector import Spectrum, where
 from ..world import FACE, World
 from . import path
-from .elements import BLACK, Elements, element_of, in_piece, sampled
+from .elements import BLACK, Elements, element_of, sampled
 
 FARTHEST = 64
 """Reflections after which a link that found no element is given up."""
@@ -86,15 +86,15 @@ class Step(eqx.Module):
     edges: Any
 
 
-def begin(world: World, elements: Elements, seed: Any, e: Any, k: Any) -> Begun:
-    """Link k of element e, about to land on its own beginning."""
-    s = _stream(seed, e, k)
-    face, y, n = sampled(world, elements, e, s.pair_at(0), s.pair_at(1)[0])
+def begin(world: World, elements: Elements, seed: Any, e: Any, k: Any, at: tuple[Any, Any] | None = None) -> Begun:
+    """Link k of element e, about to land on its own beginning: `at` a place in the element, or anywhere in it."""
+    s = stream_of(seed, e, k)
+    face, y, n = sampled(world, elements, e, s.pair_at(0) if at is None else at, s.pair_at(1)[0])
     begun = path.start(world, y + n, -n, depth=-1)
     return Begun(replace(begun, pdf=0.0 * begun.pdf, delta=jnp.zeros_like(begun.alive)), face)
 
 
-def _stream(seed: Any, e: Any, k: Any) -> Stream:
+def stream_of(seed: Any, e: Any, k: Any) -> Stream:
     return Stream(k.astype(jnp.uint32), combine(seed, e))
 
 
@@ -102,7 +102,7 @@ def advance(
     world: World, elements: Elements, seed: Any, follow: bool, e: Any, k: Any, link: Begun
 ) -> tuple[Begun, Step]:
     """One reflection of a link: direct light where it stands, then where it lands. A `follow`ed one may go on."""
-    s = path.bounce_stream(_stream(seed, e, k), link.path.depth + 1)
+    s = path.bounce_stream(stream_of(seed, e, k), link.path.depth + 1)
     at = path.bounce(world, ENDLESS, link.path, s, link.face)
     face = world.settle(world.search.closest(at.o, at.d))
     x = world.settle(surface_point(world, face, at.o, at.d))
@@ -249,25 +249,3 @@ def _link_rows_jvp(primals: Any, tangents: Any) -> Any:
         return jax.lax.map(lambda row: _links_fixed(world, elements, seed, row, count, follow, lengths), rows)
 
     return eqx.filter_jvp(fixed, (world,), (tangents[0],))
-
-
-def stands_on(world: World, elements: Elements, rows: Any) -> Any:
-    """Whether another surface stands on each element: its middle, a little above, does not see all of its corners."""
-
-    def one(e: Any) -> Any:
-        piece = _row(elements.first, e)
-        row, face = _row(elements.rectangle, piece), _row(elements.face, piece)
-        point = lambda a, b: in_piece(world, face, row, a, b)
-        (whole, n), (half, _) = point(0.5, 0.5), point(1 / 3, 1 / 3)
-        middle = where(row[4] > 0, half, whole)
-        size = _row(elements.size, e)
-        lift = n * (4.0 * world.epsilon + 0.01 * jnp.where(size < jnp.inf, size, 0.0))
-        blocked = jnp.zeros_like(face, dtype=bool)
-        for a, b in ((0, 0), (1, 0), (0, 1), (1, 1)):
-            to = point(a, b)[0] - middle
-            far = safe_sqrt(dot(to, to)) * jnp.where((row[4] > 0) & (a + b > 1), 0.0, 1.0 - 1e-3)
-            blocked = blocked | world.search.occluded(middle + lift, normalise(to), far)
-        flat = face < world.first("disk")
-        return blocked & flat & (size > 0)
-
-    return jax.lax.map(jax.vmap(one), rows)

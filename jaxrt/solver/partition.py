@@ -29,6 +29,13 @@ def bucket(n: int) -> int:
     return -(-n // step) * step
 
 
+def areas_of_faces(world: World) -> np.ndarray:
+    """Of one side of each, m². In numpy, for JAX would be started op by op."""
+    geometry = np.asarray(world.geometry, np.float64)
+    area = np.linalg.norm(np.cross(geometry[:, 3:6], geometry[:, 6:9]), axis=1)
+    return area * np.repeat([AREA[k] for k in KINDS], world.blocks)
+
+
 def diffuse_sides(world: World, scene: Scene) -> tuple[np.ndarray, np.ndarray]:
     """For each side of a face: whether it is diffuse, and whether it is black."""
     plan, faces, rows = world.plan, sum(world.blocks), np.asarray(world.faces)
@@ -46,12 +53,11 @@ def diffuse_sides(world: World, scene: Scene) -> tuple[np.ndarray, np.ndarray]:
 
 def partition(
     world: World, scene: Scene, resolution: int, levels: np.ndarray | None = None
-) -> tuple[Elements, np.ndarray]:
-    """About `resolution` elements, each cell cut further into `levels`² parts; and the cell of each element."""
+) -> tuple[Elements, np.ndarray, np.ndarray]:
+    """About `resolution` elements, each cell cut further into `levels`² parts; element and cell of each piece."""
     faces, geometry = sum(world.blocks), np.asarray(world.geometry, np.float64)
     diffuse, black = diffuse_sides(world, scene)
-    area = np.linalg.norm(np.cross(geometry[:, 3:6], geometry[:, 6:9]), axis=1)
-    area = area * np.repeat([AREA[k] for k in KINDS], world.blocks)  # in numpy: `face_areas` would start JAX op by op
+    area = areas_of_faces(world)
     sides = np.flatnonzero(diffuse & np.tile(area > 0, 2))
     face = sides % max(faces, 1)
     kind = np.searchsorted(np.cumsum(world.blocks), face, side="right")
@@ -123,6 +129,8 @@ def partition(
     local = np.where(half[c], _before_row(a, k), a * k) + b
     cells = element[np.minimum(offset[c] + local, max(len(element) - 1, 0))] + 1 if len(element) else np.zeros(0, int)
 
+    span = np.ones(len(members), int)
+    span[element] = np.where(np.bincount(element)[element] > 1, 0, most[s] // level[cell])
     grid = np.zeros((2 * faces + 1, 4), np.int32)
     grid[:-1][black] = (0, 1, 1, 0)  # the cell of the black element
     grid[sides] = np.stack([fine_start[:-1] + 1, fu, fv, corner], -1)
@@ -146,10 +154,11 @@ def partition(
         face=fill(black_first(face[s][order]).astype(np.int32), pieces),
         rectangle=as_float(rectangle[order], pieces),
         ends=np.cumsum(as_float(piece_area[order], pieces)),
+        span=fill(black_first(span).astype(np.int32), total),
         size=as_float(size, total),
         area=as_float(areas, total),
     )
-    return Elements(**arrays, clustered=clustered, everywhere=everywhere), cell
+    return Elements(**arrays, clustered=clustered, everywhere=everywhere), element + 1, cell
 
 
 def _before_row(a: np.ndarray, k: np.ndarray) -> np.ndarray:

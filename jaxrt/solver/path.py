@@ -24,8 +24,9 @@ from ..surface import Shading, SurfacePoint, is_diffuse, leave, radiance_of, sha
 from ..vector import Spectrum, Vec3, dot, where
 from ..world import World
 
-SETS = 4
-"""Independent randomisations of a pixel; sample i belongs to set i mod 4, whatever the chunk."""
+SETS, HALVES = 4, 2
+"""Independent randomisations of a pixel; and parts of the only one where paths end in a field, which is more even: each
+half of a block of Sobol points is as good a set as any, and how far the halves are apart is more than the error."""
 
 CAMERA_PAIRS = 2  # film, lens
 BOUNCE_PAIRS = 3  # reflection, light, choice of light and roulette
@@ -121,6 +122,7 @@ class Landing(eqx.Module):
     light: emitter.LightSample | None = None
     asked: Any = None  # whether the sample may carry radiance
     lit: Spectrum | None = None  # what it adds unless it is hidden
+    share: Any = None  # of that, beside emission met by reflection
     blocked: Any = None  # whether it is
 
 
@@ -156,8 +158,8 @@ def _land(world: World, depths: Depths, state: PathState, s: Stream, face: Any) 
     useful = node.pdf if state.before is not None else node.weight.max()  # black surfaces have derivatives
     asked = alive & (sg(useful) > 0)
     share = sg(balance(node.pdf, reflection_density(world, at, node.w)))
-    lit = state.beta * node.weight * light.radiance * share
-    return replace(landing, at=at, origin=leave(world, x, node.w), light=light, asked=asked, lit=lit)
+    lit = state.beta * node.weight * light.radiance
+    return replace(landing, at=at, origin=leave(world, x, node.w), light=light, asked=asked, lit=lit, share=share)
 
 
 def _reflect(world: World, depths: Depths, state: PathState, landing: Landing, node: Any = None) -> PathState:
@@ -166,7 +168,7 @@ def _reflect(world: World, depths: Depths, state: PathState, landing: Landing, n
     if at is None:
         return _through(world, state, landing, replace(state, radiance=radiance, depth=depth, alive=alive & False))
     if landing.lit is not None:
-        radiance = radiance + landing.lit.map(lambda c: jnp.where(alive & ~landing.blocked, c, 0.0))
+        radiance = radiance + (landing.lit * landing.share).map(lambda c: jnp.where(alive & ~landing.blocked, c, 0.0))
     # Reflection: the next direction.
     node = world.settle(reflection_node(world, at, s)) if node is None else node
     beta = state.beta * node.weight
@@ -197,10 +199,17 @@ def _through(world: World, state: PathState, landing: Landing, follow: PathState
     return where(through, replace(state, o=leave(world, landing.x, state.d), alive=through), follow)
 
 
-def sample_stream(seed: Any, pixel: Any, i: Any, sets: int = SETS) -> Stream:
-    """Sample i of a pixel: point i div `sets` of the pixel's set i mod `sets`."""
+def sample_stream(seed: Any, pixel: Any, i: Any, field: Any = None) -> Stream:
+    """Sample i of a pixel: point i div `SETS` of its set i mod `SETS`; with a field, point i of one sequence."""
     i = i.astype(jnp.uint32)
-    return Stream(i // sets, combine(combine(seed, pixel), i % sets))
+    if field is not None:
+        return Stream(i, combine(seed, pixel))
+    return Stream(i // SETS, combine(combine(seed, pixel), i % SETS))
+
+
+def set_of(i: Any, field: Any = None) -> Any:
+    """The set to which sample i belongs: i mod `SETS`; with a field, one or other of two halves of every block."""
+    return i % SETS if field is None else (i // field.block) % HALVES
 
 
 def bounce_stream(s: Stream, depth: Any) -> Stream:
@@ -251,7 +260,6 @@ def trace(
     first: Any,
     last: Any,
     field: Any = None,
-    sets: int = SETS,
 ) -> tuple[Any, Any]:
     """Sums of samples first..last−1 of pixels (N, P) by set, (N, P, sets, C), and rays cast, (N,).
 
@@ -261,10 +269,12 @@ def trace(
     """
     if field is not None:
         begin = Watched(begin)
-    n, pixels = numbers.shape
+    (n, pixels), sets = numbers.shape, SETS if field is None else HALVES
     zero = Spectrum.full(world.plan.channels, jnp.zeros(n, world.faces.dtype))
     sample, none = jnp.full(n, first, jnp.int32), jnp.zeros(n, jnp.int32)
-    path = jax.vmap(lambda number, i: begin(world, number, sample_stream(seed, number, i, sets)))(numbers[:, 0], sample)
+    path = jax.vmap(lambda number, i: begin(world, number, sample_stream(seed, number, i, field)))(
+        numbers[:, 0], sample
+    )
     lanes = Lane(none, sample, path, (zero,) * (pixels * sets), none)
     whole = world.plan.bounces and world.plan.backend == "dense"
     sums, rays = (one_function(_loop) if whole else _loop)(
@@ -285,14 +295,14 @@ def _loop(
     columns = tuple(numbers[:, k] for k in range(pixels))
 
     def step(numbers: Any, lane: Lane) -> Lane:
-        number, sets = _number(numbers, lane), len(lane.sums) // pixels
-        s = bounce_stream(sample_stream(seed, number, lane.sample, sets), lane.path.depth)
+        number = _number(numbers, lane)
+        s = bounce_stream(sample_stream(seed, number, lane.sample, field), lane.path.depth)
         if field is None:
             path, cast = bounce(world, depths, lane.path, s), 2 if world.plan.lights else 1
         else:
-            path, cast = field.bounce(world, depths, lane.path, s, lane.sample)
+            path, cast = field.bounce(world, depths, lane.path, s, set_of(lane.sample, field))
         lane = replace(lane, path=path, rays=lane.rays + jnp.where(lane.pixel < pixels, cast, 0))
-        return _part(world, path, begin.searches)(_ready)(world, begin, seed, numbers, lane, first, last)
+        return _part(world, path, begin.searches)(_ready)(world, begin, seed, numbers, lane, first, last, field)
 
     lanes = jax.lax.while_loop(
         lambda lanes: jnp.any(lanes.pixel < pixels), lambda lanes: jax.vmap(step)(columns, lanes), lanes
@@ -307,10 +317,10 @@ def _number(numbers: tuple[Any, ...], lane: Lane) -> Any:
     return number
 
 
-def _ready(world: World, begin: Any, seed: Any, numbers: Any, lane: Lane, first: Any, last: Any) -> Lane:
+def _ready(world: World, begin: Any, seed: Any, numbers: Any, lane: Lane, first: Any, last: Any, field: Any) -> Lane:
     """The lane with a path to follow: one that ended gives its radiance to its set, and the next sample starts."""
     path, sets = lane.path, len(lane.sums) // len(numbers)
-    place = lane.pixel * sets + lane.sample % sets
+    place = lane.pixel * sets + set_of(lane.sample, field)
     ended = ~path.alive & (lane.pixel < len(numbers))
     ended, radiance = world.settle((ended, path.radiance))
     sums = tuple(
@@ -321,7 +331,7 @@ def _ready(world: World, begin: Any, seed: Any, numbers: Any, lane: Lane, first:
     full = sample >= last
     lane = Lane(lane.pixel + full.astype(lane.pixel.dtype), jnp.where(full, first, sample), path, sums, lane.rays)
     number = _number(numbers, lane)
-    path = where(ended, begin(world, number, sample_stream(seed, number, lane.sample, sets)), path)
+    path = where(ended, begin(world, number, sample_stream(seed, number, lane.sample, field)), path)
     o, d = world.settle((path.o, path.d))
     return replace(lane, path=replace(path, o=o, d=d))
 
@@ -340,7 +350,7 @@ def trace_fixed(
             def body(path: PathState, _: Any) -> tuple[PathState, None]:
                 turn = bounce_stream(s, path.depth)
                 if field is not None:
-                    return field.bounce(world, depths, path, turn, sample)[0], None
+                    return field.bounce(world, depths, path, turn, set_of(sample, field))[0], None
                 return bounce(world, depths, path, turn), None
 
             path = _attached(world, begin, number, begin(world, number, s))

@@ -1,5 +1,6 @@
 """The field method against closed forms, the path method and differences."""
 
+import dataclasses
 import functools
 
 import jax
@@ -12,8 +13,10 @@ from test_path import room
 
 import jaxrt
 from jaxrt.sampling.sobol import Stream, combine
+from jaxrt.solver.choose import choose
 from jaxrt.solver.elements import BLACK, corners_of_pieces, element_of, sampled
-from jaxrt.solver.equilibrium import SOLVERS, Anderson
+from jaxrt.solver.equilibrium import SOLVERS, Anderson, solve_links
+from jaxrt.solver.field import links_of
 from jaxrt.solver.partition import partition
 from jaxrt.surface import surface_point
 from jaxrt.world import prepare
@@ -59,10 +62,10 @@ def many_kinds():
 def check_partition(scene, resolution, world_area, levels=False):
     chosen = jaxrt.plan(scene)
     world = jax.jit(prepare, static_argnums=1)(scene, chosen)
-    elements, cell = partition(world, scene, resolution)
+    elements, _, cell = partition(world, scene, resolution)
     if levels:
         some = np.random.default_rng(0).choice([1, 2, 4], cell.max() + 1)
-        elements, _ = partition(world, scene, resolution, some)
+        elements, *_ = partition(world, scene, resolution, some)
     elements = jax.tree.map(jnp.asarray, elements)
 
     def one(e, k):
@@ -97,6 +100,25 @@ def test_small_faces_share_elements():
     scene = jaxrt.Scene.build([mesh], sensors=[camera((0, -9, 1), (0, 0, 0))])
     elements = check_partition(scene, 200, ball.area)
     assert elements.clustered and 100 < int((elements.size > 0).sum()) < 1000 < len(ball.faces)
+
+
+def test_elements_are_smaller_where_light_ends():
+    """A board between lamp and floor: the border of its shadow is cut finer than the lit floor."""
+    place = lambda s, x, z, up: np.array([[s, 0, 0, x], [0, s * up, 0, 0], [0, 0, up, z], [0, 0, 0, 1.0]])
+    shapes = [
+        jaxrt.Rectangle(id="floor", to_world=place(4.0, 0.0, 0.0, 1)),
+        jaxrt.Rectangle(id="board", to_world=place(2.0, -1.7, 0.5, 1), bsdf=jaxrt.TwoSided(jaxrt.Diffuse(0.5))),
+        jaxrt.Rectangle(id="lamp", to_world=place(0.1, 0.0, 2.0, -1), emission=1.0),
+    ]
+    scene = jaxrt.Scene.build(shapes, sensors=[camera((0, -9, 1), (0, 0, 0))])
+    elements = jaxrt.elements_of(scene, resolution=400)
+    world = jax.jit(prepare, static_argnums=1)(scene, jaxrt.plan(scene))
+    corners, element, _ = corners_of_pieces(world, elements)
+    middle, size = corners.mean(1), np.asarray(elements.size)[element]
+    floor = (np.abs(middle[:, 2]) < 1e-3) & (np.abs(middle[:, 1]) < 1.0)
+    border, lit = floor & (np.abs(middle[:, 0] - 0.4) < 0.3), floor & (middle[:, 0] > 1.0) & (middle[:, 0] < 2.0)
+    assert border.any() and lit.any()
+    assert size[border].min() < 0.5 * np.median(size[lit])
 
 
 def test_what_reflects_nothing_is_black_and_mirrors_have_no_elements():
@@ -175,6 +197,15 @@ def test_no_solution_is_said(solver):
     field = solved(room(1.0, ceiling=1.0), solver=solver)
     assert field.result != optimistix.RESULTS.successful
     assert float(field.spectral_radius) > 0.9999 and not bool(field.error.certified)
+    assert "no solution exists" in field.why and "max_depth" in field.why
+
+
+def test_a_picture_without_a_solution_says_so():
+    sol = jaxrt.render(room(1.0, ceiling=1.0), 17, method="field", plan=plan(), max_depth=-1)
+    assert sol.result != optimistix.RESULTS.successful
+    assert "spectral radius of KG is 1.0" in sol.stats["unsolved"]
+    fine = jaxrt.render(room(0.5, ceiling=1.0), 17, method="field", plan=plan(), max_depth=-1)
+    assert fine.result == optimistix.RESULTS.successful and "unsolved" not in fine.stats
 
 
 def test_a_finite_depth_is_a_partial_sum():
@@ -209,6 +240,37 @@ def test_pictures_are_those_of_the_path_method(name, depth, request):
     assert np.mean(np.abs(values) < 4.5) > 0.99
 
 
+@pytest.mark.parametrize("spp", [4, 24])
+def test_pictures_claim_what_they_are_wrong(spp, request):
+    """Paths that look at elements themselves (4), and at what a bounce finds (24)."""
+    scene = jaxrt.load(request.config.rootpath / "scenes" / "cornell_box.xml", res=48)
+    truth = jaxrt.render(scene, 4096, 2, method="path")
+
+    def off(method):
+        """√relMSE of two pictures over what they claim."""
+        found = [jaxrt.render(scene, spp, seed, method=method) for seed in (1, 2)]
+        squares = [jaxrt.relative_mse(sol.image, truth.image) - truth.relative_error**2 for sol in found]
+        return np.sqrt(np.mean(squares)), np.mean([sol.relative_error for sol in found]), found
+
+    (error, claim, found), (by_path, claimed, _) = off("field"), off("path")
+    assert error < 0.6 * by_path
+    assert 1 / 3 < error / claim < 1.5 * by_path / claimed  # few samples miss what edges do to a small picture
+    for sol in found:
+        assert abs(sol.image.mean(dtype=np.float64) / truth.image.mean(dtype=np.float64) - 1.0) < 0.012
+
+
+def test_the_method_follows_from_scene_and_cost(request):
+    def chosen(name, depth=-1, paths=1 << 24):
+        scene = jaxrt.load(request.config.rootpath / "scenes" / f"{name}.xml")
+        return choose(jax.jit(prepare, static_argnums=1)(scene, jaxrt.plan(scene, free=None)), scene, depth, paths)
+
+    method, why = chosen("cornell_box")
+    assert method == "field" and "reflected diffusely once more" in why
+    assert chosen("cornell_box", depth=2) == ("path", "no light is reflected twice")
+    assert chosen("cornell_box", paths=4096)[0] == "path"
+    assert chosen("veach_mis")[0] == "path" and chosen("sphere_light")[0] == "path"
+
+
 def two_rooms():
     """A room of 2 x 1 x 1 in two by a sheet without thickness, with a lamp on one side; floor and walls are shared."""
     square = lambda o, a, b, id, **more: jaxrt.Rectangle(
@@ -228,10 +290,13 @@ def two_rooms():
 
 
 def test_no_light_leaks_through_a_thin_wall():
-    scene = two_rooms()
-    lit, dark = (jaxrt.render(scene, 16, sensor=k, method="field", max_depth=-1).image.mean() for k in (0, 1))
-    assert lit > 0.05
-    assert dark < 1e-4 * lit
+    """Two views of one field: what it costs to solve is said of the first."""
+    for spp in (16, 17):  # looking at elements from the camera, and from a bounce away
+        lit, dark = jaxrt.render(two_rooms(), spp, sensor=(0, 1), method="field", max_depth=-1)
+        assert lit.image.mean() > 0.05
+        assert dark.image.mean() < 1e-4 * lit.image.mean()
+        assert lit.stats["elements"] == dark.stats["elements"]
+        assert dark.stats["seconds_compile"] < 0.2 * lit.stats["seconds_compile"]
 
 
 def test_unbiased_from_any_field():
@@ -281,6 +346,37 @@ def test_forward_derivatives_of_a_field():
 
     value, slope = jax.jit(lambda x: jax.jvp(mean, (x,), (1.0,)))(2.0)
     np.testing.assert_allclose(slope, value / 2.0, rtol=1e-4)  # light is linear in its source
+
+
+def test_derivatives_are_those_of_the_unrolled_iteration():
+    """Of a mean over elements, with respect to a factor of all albedos: implicit, forward and reverse."""
+    scene = room(0.6, ceiling=1.0)
+    elements = jaxrt.elements_of(scene, plan(), 60)
+    _, links = links_of(scene, plan(), elements, jnp.uint32(1), 16, -1)
+
+    def scaled(factor):
+        return dataclasses.replace(links, albedo=links.albedo * factor, direct=links.direct * factor)
+
+    def implicit(factor):
+        return solve_links(scaled(factor), 1e-7, "anderson")[0].mean()
+
+    def unrolled(factor):
+        t = scaled(factor)
+        return jax.lax.scan(lambda b, _: (t.emitted + t.apply(b), None), t.emitted, None, length=80)[0].mean()
+
+    want = jax.jit(jax.grad(unrolled))(1.0)
+    np.testing.assert_allclose(jax.jit(jax.grad(implicit))(1.0), want, rtol=1e-4)
+    np.testing.assert_allclose(jax.jit(lambda x: jax.jvp(implicit, (x,), (1.0,))[1])(1.0), want, rtol=1e-4)
+
+
+def test_in_float64():
+    with jax.enable_x64(True):
+        chosen = jaxrt.plan(room(0.9, walls=1.5), light_sampling=True)
+        field = jaxrt.solve(room(0.9, walls=1.5), plan=chosen, resolution=60, directions=16, rtol=1e-11, max_depth=-1)
+        values = np.asarray(field.values)[np.asarray(field.elements.size) > 0]
+        rho = np.float64(np.asarray(jaxrt.params(room(0.9))["wall.reflectance"]).ravel()[0])
+        assert values.dtype == np.float64
+        np.testing.assert_allclose(values, 1.5 * rho / (1 - rho), rtol=1e-9)
 
 
 def test_a_field_is_saved_as_a_mesh(tmp_path):
