@@ -109,7 +109,8 @@ class Drawn(eqx.Module):
 @functools.lru_cache(4096)
 def _seed_of_number(key: int) -> np.uint32:
     """Kept, for JAX takes 2 ms for these few operations one by one."""
-    return np.uint32(combine(hash_u32(_U(key & 0xFFFFFFFF)), _U(key >> 32)))
+    with jax.ensure_compile_time_eval():  # also while a caller's program is traced
+        return np.uint32(combine(hash_u32(_U(key & 0xFFFFFFFF)), _U(key >> 32)))
 
 
 def seed_of(key: PRNGKeyArray | Array | int) -> UInt32[Array, ""]:

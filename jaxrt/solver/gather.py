@@ -21,7 +21,7 @@ from . import path
 from .elements import Elements, around, element_of
 
 EVEN = 1.5
-"""By so much, relative to what lies between, elements around a point may differ to be looked at from the camera."""
+"""By so much, relative to its own, elements around that of a point may differ from it to be looked at there."""
 
 
 class Stored(eqx.Module):
@@ -111,14 +111,19 @@ class Stored(eqx.Module):
         """
         x, w = landing.x, -state.d
         element, holds = self.found(world, x, w)
-        held = [(self.at(e, state.depth + 1, half), weight) for e, weight in around(world, self.elements, x, w)]
-        seen = functools.reduce(operator.add, [value * weight for value, weight in held])
-        of = [sum(value.channels) for value, weight in held]
-        of = [jnp.where(weight > 0, v, sum(seen.channels)) for v, (_, weight) in zip(of, held, strict=True)]
-        apart = functools.reduce(jnp.maximum, of) - functools.reduce(jnp.minimum, of)
-        even = (apart <= EVEN * sum(seen.channels)) & (_row(self.elements.span, jnp.maximum(element, 0)) > 0)
+        found = around(world, self.elements, x, w)
+        held = [self.at(e, state.depth + 1, half) for e, _ in found]
+        seen = functools.reduce(operator.add, [value * weight for value, (_, weight) in zip(held, found, strict=True)])
+        # What lies beyond the element's border must not outshine it: there may be a wall between.
+        own = self.at(element, state.depth + 1, half)
+        apart = [
+            jnp.where(weight > 0, jnp.abs(sum(v.channels) - sum(own.channels)), 0.0)
+            for v, (_, weight) in zip(held, found, strict=True)
+        ]
+        even = functools.reduce(jnp.maximum, apart) <= EVEN * sum(own.channels)
+        even = even & (_row(self.elements.span, jnp.maximum(element, 0)) > 0)
         ends = landing.alive & holds & (even | state.scattered)
-        light = (state.beta * seen).map(lambda c: jnp.where(ends, c, 0.0))
+        light = (state.beta * where(even, seen, own)).map(lambda c: jnp.where(ends, c, 0.0))
         landing = replace(landing, radiance=landing.radiance + light)
         if landing.share is not None:
             landing = replace(landing, share=jnp.where(ends, 1.0, landing.share))
