@@ -203,7 +203,7 @@ def test_no_solution_is_said(solver):
 def test_a_picture_without_a_solution_says_so():
     sol = jaxrt.render(room(1.0, ceiling=1.0), 17, method="field", plan=plan(), max_depth=-1)
     assert sol.result != optimistix.RESULTS.successful
-    assert "spectral radius of KG is 1.0" in sol.stats["unsolved"]
+    assert sol.stats["unsolved"].startswith("no solution exists: the spectral radius of KG is")
     fine = jaxrt.render(room(0.5, ceiling=1.0), 17, method="field", plan=plan(), max_depth=-1)
     assert fine.result == optimistix.RESULTS.successful and "unsolved" not in fine.stats
 
