@@ -70,10 +70,10 @@ def _in_grid(world: World, elements: Elements, x: SurfacePoint, w: Vec3) -> tupl
     return (row[0], row[1], row[2]), (a * row[1], b * row[2])
 
 
-def around(world: World, elements: Elements, x: SurfacePoint, w: Vec3) -> tuple[tuple[Any, Any], ...]:
-    """The four elements whose middles lie around x, with bilinear weights; those that cannot be looked at have none."""
+def around(world: World, elements: Elements, x: SurfacePoint, w: Vec3, own: Any) -> tuple[tuple[Any, Any], ...]:
+    """The four elements whose middles lie around x, which lies in `own`, with bilinear weights; those that cannot be
+    looked at have none."""
     (first, nu, nv), at = _in_grid(world, elements, x, w)
-    own = element_of(world, elements, x, w)
     span = jnp.maximum(_row(elements.span, jnp.maximum(own, 0)), 1)
 
     def two(c: Any, n: Any) -> tuple[tuple[Any, Any], ...]:

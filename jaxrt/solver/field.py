@@ -133,7 +133,7 @@ def elements_of(scene: Scene, plan: Plan | None = None, resolution: int = 4096) 
     return marked(world, scene, resolution)
 
 
-def marked(world: World, scene: Scene, resolution: int, seed: Any = 0) -> Elements:
+def marked(world: World, scene: Scene, resolution: int) -> Elements:
     """A partition, finer where another surface stands on it or lights shine unevenly; elements on which something
     stands still are of infinite size."""
 
@@ -152,8 +152,8 @@ def marked(world: World, scene: Scene, resolution: int, seed: Any = 0) -> Elemen
     stands = standing(elements)
     finer = np.where(stands, FINER, 1)
     if world.plan.lights:
-        args = world, elements, np.uint32(seed), np.arange(elements.count, dtype=np.int32)[None]
-        light, spread = (np.asarray(a)[0] for a in program(lit, *args, keep=_keep(world))(*args))
+        args = world, elements, np.arange(elements.count, dtype=np.int32)
+        light, spread = (np.asarray(a) for a in program(lit, *args, keep=_keep(world))(*args))
         lost = elements.area * spread * resolution / max(float((elements.area * light).sum()), 1e-30)
         parts = np.exp2(np.ceil(0.5 * np.log2(np.clip(lost / UNEVEN, 1.0, FINER**2))))
         finer = np.maximum(finer, parts.astype(int))
@@ -324,7 +324,7 @@ def unsolved(radius: float) -> str:
 
 def block_of(spp: int) -> np.ndarray:
     """Samples that follow one another in one set of a pixel: half of those there are, or of the power of two below."""
-    return np.asarray(max(1 << (int(spp).bit_length() - 2), 1) if spp > 1 else 1, np.int32)
+    return np.asarray(1 << max(spp.bit_length() - 2, 0), np.int32)
 
 
 class _Probes(eqx.Module):

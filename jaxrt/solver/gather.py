@@ -111,7 +111,7 @@ class Stored(eqx.Module):
         """
         x, w = landing.x, -state.d
         element, holds = self.found(world, x, w)
-        found = around(world, self.elements, x, w)
+        found = around(world, self.elements, x, w, element)
         held = [self.at(e, state.depth + 1, half) for e, _ in found]
         seen = functools.reduce(operator.add, [value * weight for value, (_, weight) in zip(held, found, strict=True)])
         # What lies beyond the element's border must not outshine it: there may be a wall between.

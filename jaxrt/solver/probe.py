@@ -1,6 +1,6 @@
 """What elements see before they are linked: whether something stands on them, and how evenly lights shine on them.
 
-It tells where a partition has to be finer, and where an element is no mirror of what a point of it sees.
+It tells where a partition has to be finer, and which elements are followed further.
 """
 
 from __future__ import annotations
@@ -40,15 +40,15 @@ def stood_on(world: World, rectangle: Any, face: Any, size: Any) -> Any:
     return jax.vmap(one)(rectangle, face, size)
 
 
-def lit(world: World, elements: Elements, seed: Any, rows: Any) -> tuple[Any, Any]:
+def lit(world: World, elements: Elements, numbers: Any) -> tuple[Any, Any]:
     """The mean of direct light that each element reflects, over channels, and how far the means of its quarters are
     from that, on average."""
 
     def one(e: Any) -> tuple[Any, Any]:
-        quarters = jax.vmap(lambda q: _direct(world, elements, seed, e, q))(jnp.arange(4))
+        quarters = jax.vmap(lambda q: _direct(world, elements, jnp.uint32(0), e, q))(jnp.arange(4))
         return quarters.mean(), jnp.abs(quarters - quarters.mean()).mean()
 
-    return jax.lax.map(jax.vmap(one), rows)
+    return jax.vmap(one)(numbers)
 
 
 def _direct(world: World, elements: Elements, seed: Any, e: Any, quarter: Any) -> Any:
