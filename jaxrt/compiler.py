@@ -7,12 +7,16 @@ import hashlib
 import os
 import pickle
 import platform
+import weakref
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar, cast
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
+
+F = TypeVar("F", bound=Callable[..., Any])
 
 CPU_OPTIONS: dict[str, str | bool] = {"xla_cpu_prefer_vector_width": "512"}
 """XLA keeps to vectors of 256 bits, which leaves a fifth of the speed of wide cores unused."""
@@ -29,6 +33,9 @@ def cores() -> int:
     """How many cores this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
+
+REMEMBERED = 8
+"""Results of a `remembered` function that one argument keeps."""
 
 _programs: dict[Any, Callable[..., Any]] = {}
 
@@ -111,6 +118,29 @@ def _file(f: Callable[..., Any], tree: Any, shapes: Any) -> Path | None:
         return None
     text = repr((f.__module__, f.__qualname__, str(tree), shapes, CPU_OPTIONS, _circumstances()))
     return folder / f"{hashlib.sha256(text.encode()).hexdigest()}.program"
+
+
+def remembered(f: F) -> F:
+    """f, which keeps what it gave for as long as its first argument lives: arrays of JAX do not change.
+
+    What comes of the first argument must not hold it. Other arguments are told apart by value, modules by identity.
+    """
+    kept: dict[int, tuple[Any, dict[Any, Any]]] = {}
+    name = lambda a: ("module", id(a)) if isinstance(a, eqx.Module) else a
+
+    @functools.wraps(f)
+    def call(first: Any, *rest: Any) -> Any:
+        number, key = id(first), tuple(map(name, rest))
+        if number not in kept or kept[number][0]() is not first:
+            kept[number] = weakref.ref(first, lambda _: kept.pop(number, None)), {}
+        found = kept[number][1]
+        if key not in found:
+            if len(found) >= REMEMBERED:
+                found.pop(next(iter(found)), None)
+            found[key] = f(first, *rest), rest  # these live on, so that no other module takes their place
+        return found[key][0]
+
+    return cast(F, call)
 
 
 def one_function(f: Callable[..., Any]) -> Callable[..., Any]:

@@ -7,7 +7,6 @@ scrambling"; padding as in Kollig and Keller 2002). Every power of two of consec
 
 from __future__ import annotations
 
-import functools
 from typing import Any
 
 import equinox as eqx
@@ -16,11 +15,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, PRNGKeyArray, UInt32
 
-_U = jnp.uint32
+_U = np.uint32
 
 
 def hash_u32(x: Any) -> UInt32[Array, ...]:
     """A bijective mixing of 32 bits (Ellmann and Wellons 2018, lowbias32)."""
+    if isinstance(x, np.uint32):  # numpy warns where a number overflows, but not in arrays
+        return hash_u32(x[None])[0]
     x = x ^ (x >> _U(16))
     x = x * _U(0x7FEB352D)
     x = x ^ (x >> _U(15))
@@ -30,7 +31,9 @@ def hash_u32(x: Any) -> UInt32[Array, ...]:
 
 def combine(seed: Any, value: Any) -> UInt32[Array, ...]:
     """Hash of a seed and one more number."""
-    return hash_u32(seed ^ (jnp.asarray(value).astype(_U) * _U(0x9E3779B9) + _U(0x85EBCA6B)))
+    if isinstance(value, (int, np.integer)):
+        return hash_u32(seed ^ _U((int(value) * 0x9E3779B9 + 0x85EBCA6B) & 0xFFFFFFFF))
+    return hash_u32(seed ^ (value.astype(_U) * _U(0x9E3779B9) + _U(0x85EBCA6B)))
 
 
 def _reverse(x: Any) -> Any:
@@ -75,7 +78,7 @@ class Stream(eqx.Module):
 
     def pair_at(self, k: int) -> tuple[Any, Any]:
         seed = combine(self.seed, self.pair + k if isinstance(self.pair, int) else self.pair + _U(k))
-        index = _reverse(_scramble_reversed(_reverse(self.index), seed))
+        index = _reverse(_scramble_reversed(_reverse(jnp.asarray(self.index)), jnp.asarray(seed)))
         second, third = hash_u32(seed ^ _U(0x68BC21EB)), hash_u32(seed ^ _U(0x02E5BE93))
         a = _reverse(_scramble_reversed(index, second))
         b = _reverse(_scramble_reversed(_pascal(index), third))
@@ -106,17 +109,11 @@ class Drawn(eqx.Module):
         return self.pairs[k]
 
 
-@functools.lru_cache(4096)
-def _seed_of_number(key: int) -> np.uint32:
-    """Kept, for JAX takes 2 ms for these few operations one by one."""
-    with jax.ensure_compile_time_eval():  # also while a caller's program is traced
-        return np.uint32(combine(hash_u32(_U(key & 0xFFFFFFFF)), _U(key >> 32)))
-
-
-def seed_of(key: PRNGKeyArray | Array | int) -> UInt32[Array, ""]:
+def seed_of(key: PRNGKeyArray | Array | int) -> UInt32[Array, ""] | np.uint32:
     """32 bits from a JAX key (new or old style) or a whole number, traced or not: a key only seeds the hash."""
     if isinstance(key, int):  # of any size
-        return jnp.asarray(_seed_of_number(key & 0xFFFFFFFFFFFFFFFF))
+        low, high = (_U((key >> k) & 0xFFFFFFFF) for k in (0, 32))
+        return combine(hash_u32(low), high)  # by numpy, for JAX takes 2 ms for these few operations one by one
     if jnp.issubdtype(jnp.asarray(key).dtype, jax.dtypes.prng_key):
         key = jax.random.key_data(key)
     key = jnp.asarray(key)

@@ -12,7 +12,7 @@ from jax.lax import stop_gradient as sg
 
 from .. import emitter
 from ..rules import balance
-from ..sampling.sobol import Stream
+from ..sampling.sobol import Drawn, Stream
 from ..sampling.warp import cosine_hemisphere
 from ..scene import SensorStructure
 from ..sensor import camera, film
@@ -22,7 +22,8 @@ from .path import PathState, hidden, start
 
 
 class View(eqx.Module):
-    """Paths of a sensor's pixels (row · width + column). What is compiled of it is static."""
+    """Paths of a sensor's pixels (row · width + column, and the same again from height · width on). What is compiled of
+    it is static."""
 
     to_world: Any
     lens: Any
@@ -31,8 +32,8 @@ class View(eqx.Module):
     sensor: SensorStructure = eqx.field(static=True)
     searches: ClassVar[bool] = False
 
-    def __call__(self, world: World, number: Any, s: Stream) -> PathState:
-        column, row = (k.astype(self.lens.dtype) for k in (number % self.width, number // self.width))
+    def __call__(self, world: World, number: Any, s: Stream | Drawn) -> PathState:
+        column, row = (k.astype(self.lens.dtype) for k in (number % self.width, number // self.width % self.height))
         pixel = film.pixel(self.sensor.film, column, row, self.width, self.height)
         at = world.settle(film.sample(self.sensor.film, pixel, s.pair_at(0)))
         u = s.pair_at(1) if camera.uses_lens(self.sensor) else None

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..brdf import MaterialColumns
 from ..casting import cast
-from ..compiler import program
+from ..compiler import program, remembered
 from ..sampling.sobol import Stream
 from ..sampling.warp import cosine_hemisphere
 from ..scene import Scene
@@ -40,18 +40,19 @@ def choose(world: World, scene: Scene, depth: int, paths: int) -> tuple[str, str
         return "path", "instances have no elements"
     if plan.enclosure or not plan.lights:
         return "path", "light comes from all around or is not sampled"
-    area, (diffuse, _) = areas_of_faces(world), diffuse_sides(world, scene)
-    weight = np.tile(area, 2) * diffuse
-    if not weight.sum() > 0:
-        return "path", "nothing is diffuse"
-    again = interreflection(world, weight)
+    again = interreflection(world, scene)
     said = f"{again:.0%} of light from diffuse surfaces is reflected diffusely once more"
     return ("field" if again >= AGAIN else "path"), said
 
 
-def interreflection(world: World, weight: np.ndarray) -> float:
-    """The share of light leaving diffuse sides (chosen by `weight`) that others like them reflect again."""
+@remembered
+def interreflection(world: World, scene: Scene) -> float:
+    """The share of light leaving diffuse sides that others like them reflect again."""
     faces = sum(world.blocks)
+    area, (diffuse, _) = areas_of_faces(world), diffuse_sides(world, scene)
+    weight = np.tile(area, 2) * diffuse
+    if not weight.sum() > 0:
+        return 0.0
     sides = np.random.default_rng(0).choice(2 * faces, RAYS, p=weight / weight.sum()).astype(np.int32)
     args = world, sides, (weight > 0).astype(np.float32)
     return float(program(_again, *args, keep=world.plan.backend == "dense")(*args))

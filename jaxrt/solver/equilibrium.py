@@ -135,8 +135,9 @@ def series(links: Any, edges: int) -> Any:
             levels.append(e + links.apply(levels[-1]))
             continue
         at = n - links.edges
-        stacked = jnp.stack(levels)
-        landed = jnp.where((at >= 0)[..., None], stacked[jnp.clip(at, 0, n - 1), links.target], 0.0)
+        stacked = jnp.concatenate(levels)  # flat, for XLA gathers by two indices at a third of the speed
+        landed = stacked.at[jnp.maximum(at, 0) * len(levels[0]) + links.target].get(mode="promise_in_bounds")
+        landed = jnp.where((at >= 0)[..., None], landed, 0.0)
         levels.append(e + (links.weight * landed).mean(1))
     return jnp.stack(levels)
 

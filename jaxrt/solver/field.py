@@ -13,7 +13,7 @@ import optimistix as optx
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
-from ..compiler import cores, program
+from ..compiler import cores, program, remembered
 from ..effects import Plan
 from ..effects import plan as make_plan
 from ..parts import SceneError
@@ -44,7 +44,7 @@ UNEVEN = 1.0
 """Direct light that falls on the wrong quarter of an element, in shares of what elements reflect on average, from which
 a cell is cut."""
 
-LEAST, MOST = 1 << 15, 1 << 22
+LEAST, MOST = 1 << 14, 1 << 22
 """Links of a picture's field, at least and at most: 16 bytes each where they carry a weight."""
 
 
@@ -133,6 +133,7 @@ def elements_of(scene: Scene, plan: Plan | None = None, resolution: int = 4096) 
     return marked(world, scene, resolution)
 
 
+@remembered
 def marked(world: World, scene: Scene, resolution: int) -> Elements:
     """A partition, finer where another surface stands on it or lights shine unevenly; elements on which something
     stands still are of infinite size."""
@@ -163,7 +164,7 @@ def marked(world: World, scene: Scene, resolution: int) -> Elements:
         elements, *_ = partition(world, scene, resolution, levels)
         stands = standing(elements)
     size = np.where(stands, np.inf, elements.size)
-    return dataclasses.replace(elements, size=size.astype(elements.size.dtype))
+    return jax.device_put(dataclasses.replace(elements, size=size.astype(elements.size.dtype)))
 
 
 def _keep(world: World) -> bool:
@@ -270,11 +271,10 @@ def settled(links: Links, rtol: Any, solver: Any, depth: int, before: bool = Fal
     return levels, jnp.int32(edges - 1), optx.RESULTS.successful
 
 
-def _halves(links: Links, rtol: Any, solver: Any, depth: int, before: bool) -> tuple[Any, Any, Any]:
-    """`settled` for each half of the links, (2, J, E, C), how often T was applied, and whether that sufficed."""
-    found = [settled(links.half(k), rtol, solver, depth, before) for k in (0, 1)]
-    good = [result == optx.RESULTS.successful for *_, result in found]
-    return jnp.stack([values for values, *_ in found]), found[0][1], good[0] & good[1]
+def _half(links: Links, k: Any, rtol: Any, solver: Any, depth: int, before: bool) -> tuple[Any, Any, Any]:
+    """`settled` for one half of the links, 0 or 1, (J, E, C), how often T was applied, and whether that sufficed."""
+    values, steps, result = settled(links.half(k), rtol, solver, depth, before)
+    return values, steps, result == optx.RESULTS.successful
 
 
 def for_picture(
@@ -289,8 +289,8 @@ def for_picture(
     gathers = 0 if looks else GATHERS
     share = 6.0 if gathers else 3.0  # what is looked at itself has to be even rather than fine
     resolution = int(np.clip(share * wanted, 256, 1 << 15))
-    directions = int(np.clip(1 << round(np.log2(max(wanted / share, 1.0))), 16, 1024))
-    elements = jax.device_put(marked(world, scene, resolution))
+    directions = int(np.clip(1 << round(np.log2(max(wanted / share, 1.0))), 16 if gathers else 64, 1024))
+    elements = marked(world, scene, resolution)
     follow, count = follows(world.plan, elements), elements.count
     threads = cores()
     parts = threads * -(-count // (threads * PART))  # as many for every thread
@@ -300,11 +300,13 @@ def for_picture(
     rows = list(pool.map(lambda row: jax.tree.map(np.asarray, run(world, elements, seed, row)), numbers))
     links = jax.tree.map(lambda *a: np.concatenate([b[0] for b in a])[:count], *rows)
     near = np.asarray(min(1.0, spp / NEAR_FROM), elements.size.dtype)
-    args = links, np.asarray(1e-3, near.dtype)
-    values, steps, good = program(_halves, *args, static=("anderson", depth, gathers == 0))(*args)
+    args = links, np.int32(0), np.asarray(1e-3, near.dtype)
+    solve_half = program(_half, *args, static=("anderson", depth, gathers == 0))
+    solved = list(pool.map(lambda k: jax.tree.map(np.asarray, solve_half(links, np.int32(k), args[2])), (0, 1)))
+    values = jax.device_put(np.stack([values for values, *_ in solved]))
     stored = Stored(elements, values, near, block_of(spp), gathers)
-    said = {"elements": count, "directions": directions, "field_iterations": int(steps)}
-    if not good:
+    said: dict[str, Any] = {"elements": count, "directions": directions, "field_iterations": int(solved[0][1])}
+    if not all(good for *_, good in solved):
         said["unsolved"] = unsolved(float(program(spectral_radius, links)(links)))
     return stored, said
 
@@ -358,7 +360,9 @@ def _error(world: World, stored: Stored, links: Links, seed: Any, depth: int, ch
     depths = path.Depths(jnp.int32(depth if depth < 0 else depth - 1), jnp.int32(5), jnp.asarray(False))
     lanes = jnp.asarray(_rows(count)[..., None])
     probes = _Probes(stored.elements)
-    sums = path.trace_rows(world, probes, depths, combine(seed, 7), lanes, jnp.int32(0), jnp.int32(check))[0]
+    sums = path.trace_rows(world, probes, depths, combine(seed, 7), lanes, len(lanes), jnp.int32(0), jnp.int32(check))[
+        0
+    ]
     sums = sums.reshape(-1, *sums.shape[3:])[:count]  # (E, sets, C)
     sets = sums.shape[1]
     off = sums * (sets / check) - b[:, None]

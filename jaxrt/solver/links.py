@@ -54,16 +54,16 @@ class Links(eqx.Module):
         """e: direct light of each element, (E, C)."""
         return self.direct.mean(1).sum(1)
 
-    def half(self, k: int) -> Links:
+    def half(self, k: Any) -> Links:
         """The links of one half of the samples, 0 or 1."""
         n = self.target.shape[1] // 2
-        part: Any = lambda a: None if a is None else a[:, k * n : (k + 1) * n]
-        direct = jnp.repeat(self.direct[:, k : k + 1], 2, 1)
+        part: Any = lambda a: None if a is None else jax.lax.dynamic_slice_in_dim(a, k * n, n, 1)
+        direct = jnp.repeat(jax.lax.dynamic_slice_in_dim(self.direct, k, 1, 1), 2, 1)
         return Links(direct, self.albedo, self.area, part(self.target), part(self.weight), part(self.edges))
 
     def apply(self, b: Any) -> Any:
         """T b, for b (E, C)."""
-        landed = b[self.target]
+        landed = b.at[self.target].get(mode="promise_in_bounds")
         if self.weight is None:
             return self.albedo * landed.mean(1)
         return (self.weight * landed).mean(1)

@@ -283,9 +283,12 @@ def trace(
     return sums.reshape(n, pixels, sets, -1), rays
 
 
-def trace_rows(world: World, begin: Any, depths: Depths, seed: Any, rows: Any, *rest: Any) -> Any:
-    """`trace` for each row of pixels, one after another; `rest`: its arguments after those."""
-    return jax.lax.map(lambda numbers: trace(world, begin, depths, seed, numbers, *rest), rows)
+def trace_rows(world: World, begin: Any, depths: Depths, seed: Any, rows: Any, count: Any, *rest: Any) -> Any:
+    """`trace` for the first `count` rows of pixels, one after another; `rest`: its arguments after those."""
+    one = lambda numbers: trace(world, begin, depths, seed, numbers, *rest)
+    none = jax.tree.map(lambda a: jnp.zeros((len(rows), *a.shape), a.dtype), jax.eval_shape(one, rows[0]))
+    put = lambda k, done: jax.tree.map(lambda a, b: a.at[k].set(b), done, one(rows[k]))
+    return jax.lax.fori_loop(0, count, put, none)
 
 
 def _loop(

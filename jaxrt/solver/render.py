@@ -14,7 +14,7 @@ import jax
 import numpy as np
 
 from .. import __version__
-from ..compiler import cores, program
+from ..compiler import cores, program, remembered
 from ..effects import Plan
 from ..effects import plan as make_plan
 from ..parts import SceneError
@@ -25,6 +25,7 @@ from . import path
 from .begin import View
 from .choose import choose
 from .field import for_picture
+from .lamps import TAKES, borders
 from .measure import PASS, depths_of, lanes_of, view_of
 from .solution import Solution, mean_and_variance, predicted_error, standard_error
 
@@ -41,7 +42,7 @@ def resized(scene: Scene, sensor: int, width: int, height: int) -> Scene:
 
 
 FEW_SAMPLES, ROWS = 64, 16
-"""Below so many samples a pixel a program takes so many rows of pixels, for one row is done too soon to be called."""
+"""Below so many samples a pixel a program takes up to so many rows of lanes: one is done too soon to be called."""
 
 SAMPLES, PIXELS = 32, 8
 """Samples that a lane should take at least, of so many pixels at most: it ends with the longest of all lanes."""
@@ -86,6 +87,24 @@ def _tiled(places: np.ndarray, width: int, height: int, side: int = 16) -> np.nd
     return (band * side + row) * width + tile * side + column
 
 
+@remembered
+def _specialised(scene: Scene) -> Plan:
+    return make_plan(scene, free=None)
+
+
+@remembered
+def _view(scene: Scene, sensor: int, dtype: Any) -> View:
+    view = in_working_precision(view_of(scene, sensor))
+    return jax.device_put(dataclasses.replace(view, width=np.int32(view.width), height=np.int32(view.height)))
+
+
+@remembered
+def _prepared(scene: Scene, plan: Plan, dtype: Any) -> tuple[World, Scene]:
+    """The world of a scene, and the scene's tables: names and sensors make no other world."""
+    tables = dataclasses.replace(in_working_precision(scene), structure=Structure(), plan=None)
+    return program(prepare, tables, plan, keep=plan.backend == "dense")(tables, plan), tables
+
+
 @overload
 def render(scene: Scene, spp: int | None = None, seed: Any = 0, *, sensor: int = 0, **options: Any) -> Solution: ...
 @overload
@@ -123,21 +142,19 @@ def render(  # pyright: ignore[reportInconsistentOverload]  # options are those 
             raise SceneError(f"{name}: is {value}; give a whole number of at least 1")
     spp = int(spp)
     sensors = [sensor] if isinstance(sensor, (int, np.integer)) else list(sensor)
-    views, depths = [view_of(scene, k) for k in sensors], depths_of(scene, max_depth, rr_depth)
-    plan = plan or make_plan(scene, free=None)
+    real = jax.dtypes.canonicalize_dtype(float)
+    views, depths = [_view(scene, k, real) for k in sensors], depths_of(scene, max_depth, rr_depth)
+    plan = plan or _specialised(scene)
     threads = cores()
     memory = machine_memory() / 4 if memory is None else memory
     chunk = lanes_of(plan) if chunk is None else chunk
-    lanes = [_lanes((v.width, v.height, plan.out_channels), threads, chunk, memory) for v in views]
+    lanes = [_lanes((int(v.width), int(v.height), plan.out_channels), threads, chunk, memory) for v in views]
 
     # Run-time numbers go in as arrays: other sizes, depths and seeds use the same program.
     depths = path.Depths(np.int32(depths.max_depth), np.int32(depths.rr_depth), np.bool_(depths.hide_emitters))
-    depths = jax.tree.map(np.asarray, depths)
     key, began = np.asarray(seed_of(seed)), time.perf_counter()
-    scene = in_working_precision(scene)
-    tables = dataclasses.replace(scene, structure=Structure(), plan=None)  # names and sensors make no other world
-    world = program(prepare, tables, plan, keep=plan.backend == "dense")(tables, plan)
-    depth, paths = int(depths.max_depth), spp * sum(v.width * v.height for v in views)
+    world, tables = _prepared(scene, plan, real)
+    depth, paths = int(depths.max_depth), spp * sum(int(v.width) * int(v.height) for v in views)
     chosen, why = choose(world, tables, depth, paths) if method == "auto" else (method, "asked for")
     field, said = None, {}
     with ThreadPoolExecutor(threads) as pool:
@@ -147,7 +164,7 @@ def render(  # pyright: ignore[reportInconsistentOverload]  # options are those 
         found = []
         for k, (view, n) in enumerate(zip(views, lanes, strict=True)):
             part = progress and (lambda done, k=k: progress((k + done) / len(views)))
-            found.append(_picture(world, in_working_precision(view), depths, key, spp, n, field, pool, part))
+            found.append(_picture(world, view, depths, key, spp, n, field, pool, part))
     for k, sol in enumerate(found):
         sol.stats |= {"method": chosen, "why": why, **said}
         sol.failed |= "unsolved" in said
@@ -173,25 +190,37 @@ def _picture(
     began, plan, threads = time.perf_counter(), world.plan, cores()
     width, height = int(view.width), int(view.height)
     n = width * height
-    view = dataclasses.replace(view, width=np.int32(width), height=np.int32(height))
-    # Pixels of a lane, and rows of lanes of a program, so that neither ends too soon.
+    # Pixels of a lane, and rows of lanes of a program: neither is to end too soon, nor one thread before the others.
     pixels = min(PIXELS, 1 << max(0, (SAMPLES // spp).bit_length() - 1))
-    rows = max(1, ROWS // pixels) if spp < FEW_SAMPLES else 1
-    while rows * pixels > 1 and n < rows * pixels * lanes * threads * 4:
-        rows, pixels = (rows // 2, pixels) if rows > 1 else (rows, pixels // 2)
-    size = rows * lanes * pixels
-    pixels_of = lambda block: _tiled(np.arange(block * size, (block + 1) * size) % n, width, height)
-    in_rows = lambda numbers: numbers.reshape(rows, pixels, lanes).swapaxes(1, 2)
-    example = in_rows(pixels_of(0))
-    args = jax.device_put((world, view, depths, key))
-    run = program(path.trace_rows, *args, example, np.int32(0), np.int32(1), field)
+    while pixels > 1 and n < pixels * lanes * threads * 4:
+        pixels //= 2
+    edges = borders(world, view)
+    again = (edges + np.arange(1, TAKES + 1, dtype=np.int32)[:, None] * np.int32(n)).ravel()
+    total, size = n + len(again), lanes * pixels
+    rows = -(-total // size)
+    blocks = max(2 * threads, -(-rows // ROWS if spp < FEW_SAMPLES else -rows))
+    starts = np.linspace(0, rows, min(rows, -(-blocks // threads) * threads) + 1).astype(int)
+    blocks = len(starts) - 1
+
+    def pixels_of(row: int, stop: int) -> np.ndarray:
+        """Numbers of pixels in rows of lanes; from n on, pixel `number % n` with samples of its own."""
+        at = np.arange(row * size, stop * size) % total
+        numbers = _tiled(np.minimum(at, n - 1), width, height)
+        return np.where(at < n, numbers, again[np.maximum(at - n, 0)]) if len(again) else numbers
+
+    def in_rows(numbers: np.ndarray) -> np.ndarray:
+        rows = numbers.reshape(-1, pixels, lanes).swapaxes(1, 2)
+        return np.concatenate([rows, np.zeros((ROWS - len(rows), *rows.shape[1:]), rows.dtype)])
+
+    args = world, view, depths, key
+    run = program(path.trace_rows, *args, in_rows(pixels_of(0, 1)), np.int32(1), np.int32(0), np.int32(1), field)
     compiled = time.perf_counter()
 
-    blocks = -(-n // size)
     passes = [(a, min(a + PASS, spp)) for a in range(0, spp, PASS)]
     sets = path.SETS if field is None else path.HALVES
     counts = np.bincount(path.set_of(np.arange(spp), field), minlength=sets)
     image, variance = (np.empty((n, plan.channels), np.float32) for _ in range(2))
+    sums_again = np.empty((sets, len(again), plan.channels))
     rays = np.zeros(blocks, np.int64)
     done = 0
     stop_asked = threading.Event()
@@ -199,20 +228,24 @@ def _picture(
     def work(block: int) -> None:
         """All samples of a block of pixels, in order, so that sums do not depend on which thread was faster."""
         nonlocal done
-        numbers, used = pixels_of(block), min(size, n - block * size)
+        row, stop = (int(k) for k in starts[block : block + 2])
+        numbers, first_of, used = pixels_of(row, stop), row * size, min(stop * size, total) - row * size
         sums = np.zeros(())
         for first, last in passes:
             if stop_asked.is_set():
                 return
-            values, cast = run(*args, in_rows(numbers), np.int32(first), np.int32(last), field)
-            values = np.asarray(values).transpose(3, 0, 2, 1, 4).reshape(sets, size, -1)
+            counted = np.int32(stop - row), np.int32(first), np.int32(last)
+            values, cast = run(*args, in_rows(numbers), *counted, field)
+            values = np.asarray(values)[: stop - row].transpose(3, 0, 2, 1, 4).reshape(sets, len(numbers), -1)[:, :used]
             sums = values if len(passes) == 1 else sums + values.astype(np.float64)
             cast = np.asarray(cast, np.int64).reshape(-1)
-            rays[block] += int(cast[:used].sum() if pixels == 1 else cast.sum() * used // size)
+            rays[block] += int(cast[:used].sum() if pixels == 1 else cast.sum() * used // ((stop - row) * size))
             done += 1
             if progress:
                 progress(done / (blocks * len(passes)))
-        image[numbers[:used]], variance[numbers[:used]] = mean_and_variance(sums[:, :used], counts)
+        own = min(used, max(0, n - first_of))
+        image[numbers[:own]], variance[numbers[:own]] = mean_and_variance(sums[:, :own], counts)
+        sums_again[:, first_of + own - n : first_of + used - n] = sums[:, own:]
 
     if progress:
         progress(0.0)
@@ -221,6 +254,8 @@ def _picture(
     except BaseException:
         stop_asked.set()  # an interrupt waits for one pass, not for the picture
         raise
+    sums_again = sums_again.reshape(sets, TAKES, len(edges), plan.channels).sum(1)
+    image[edges], variance[edges] = mean_and_variance(sums_again, counts * TAKES)
     finished = time.perf_counter()
 
     shape = (height, width, plan.out_channels)
@@ -228,7 +263,7 @@ def _picture(
     error = predicted_error(image, variance)
     stderr = standard_error(variance)
     stats = {
-        "samples": n * spp,
+        "samples": total * spp,
         "spp": spp,
         "rays": int(rays.sum()),
         "iterations": blocks * len(passes),

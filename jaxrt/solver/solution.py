@@ -63,9 +63,9 @@ def relative_mse(image: Any, reference: Any) -> float:
 def predicted_error(image: np.ndarray, variance: np.ndarray) -> float:
     """√relMSE that a picture's variances predict."""
     bands = [slice(k, k + 64) for k in range(0, len(image), 64)]
-    square = lambda band: image[band].astype(np.float64) ** 2
-    epsilon = max(0.01 * sum(square(band).sum() for band in bands) / image.size, 1e-300)
-    return float(np.sqrt(sum((variance[band] / (square(band) + epsilon)).sum() for band in bands) / image.size))
+    epsilon = max(0.01 * sum(float(np.vdot(image[b], image[b])) for b in bands) / image.size, 1e-30)
+    relative = lambda b: variance[b] / (image[b] * image[b] + np.float32(epsilon))
+    return float(np.sqrt(sum(relative(b).sum(dtype=np.float64) for b in bands) / image.size))
 
 
 @dataclasses.dataclass

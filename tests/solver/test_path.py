@@ -13,6 +13,9 @@ import pytest
 from helpers import WALLS, box_room, camera, frame, hemisphere_directions, mean_and_error, moved, picture
 
 import jaxrt
+from jaxrt.solver.lamps import borders
+from jaxrt.solver.measure import view_of
+from jaxrt.world import prepare
 
 # ------------------------------------------------------------------------------------------- one room for all
 # The cube [-1, 1]³ of six rectangles that may all shine: every scene here is it with other values, so all share
@@ -448,7 +451,10 @@ def test_render_and_measure_agree():
     scene = room(0.5, ceiling=1.0)
     image = jax.jit(lambda s: jaxrt.measure(s, 11, plan=plan(), spp=16, max_depth=5, rr_depth=5))(scene)
     solution = render(scene, 16, 11, max_depth=5, rr_depth=5)
-    close = np.isclose(image, solution.image, rtol=1e-5)
+    again = np.zeros(256, bool)  # pixels that a picture takes several times
+    again[borders(prepare(scene, plan()), jax.tree.map(np.asarray, view_of(scene, 0)))] = True
+    close = np.isclose(image, solution.image, rtol=1e-5).reshape(256, -1)[~again]
+    assert again.mean() < 0.2
     assert close.mean() > 0.99  # one is compiled for 256 lanes, the other for 512: see the test of chunks
 
 
@@ -524,6 +530,9 @@ def test_a_scene_that_reflects_nothing():
     """A lamp alone: no bounce is compiled. In a process of its own, for it is one that XLA ends."""
     code = """
 import jaxrt
+from jaxrt.solver.lamps import borders
+from jaxrt.solver.measure import view_of
+from jaxrt.world import prepare
 lamp = jaxrt.Sphere(emission=1.0, bsdf=jaxrt.Diffuse(0.0))
 film = jaxrt.Film(8, 8, "box")
 pose = [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, -1.05], [0, 0, 0, 1]]
