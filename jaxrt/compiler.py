@@ -15,6 +15,7 @@ from typing import Any, TypeVar, cast
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -141,6 +142,19 @@ def remembered(f: F) -> F:
         return found[key][0]
 
     return cast(F, call)
+
+
+def over_devices(f: Any, rows: Any, *whole: Any) -> Any:
+    """f(*whole, row) for each of `rows`, one after another on each device of this process."""
+    devices, n = jax.local_devices(), rows.shape[0]
+    each = lambda rows, *whole: jax.lax.map(lambda row: f(*whole, row), rows)
+    if len(devices) == 1 or n == 1 or jax.sharding.get_abstract_mesh().axis_names:  # the last: sharded by the caller
+        return each(rows, *whole)
+    rows = rows[np.resize(np.arange(n), -(-n // len(devices)) * len(devices))]
+    split, same = jax.sharding.PartitionSpec("device"), jax.sharding.PartitionSpec()
+    mesh, specs = jax.sharding.Mesh(np.array(devices), ("device",)), (split, *(same for _ in whole))
+    found = jax.shard_map(each, mesh=mesh, in_specs=specs, out_specs=split, check_vma=False)(rows, *whole)
+    return jax.tree.map(lambda a: a[:n], found)
 
 
 def one_function(f: Callable[..., Any]) -> Callable[..., Any]:

@@ -15,12 +15,13 @@ import jax
 import jax.numpy as jnp
 
 from .casting import Psi
+from .chart import even_point
 from .rules import BrdfRule, MisRule
 from .sampling.sobol import Stream, seed_of
-from .sampling.warp import cosine_hemisphere, uniform_disk, uniform_sphere, uniform_triangle
+from .sampling.warp import cosine_hemisphere
 from .scene import Scene
 from .surface import SurfacePoint, radiance_of, surface_point
-from .vector import Frame, Spectrum, Vec3, cross, normalise, where
+from .vector import Frame, Spectrum, Vec3
 from .world import World, face_areas, world_of
 
 Radiance = Callable[[SurfacePoint, Vec3, Stream], Spectrum]
@@ -182,16 +183,7 @@ def surface_sample(world: World, s: Stream) -> tuple[SurfacePoint, Vec3, Any]:
     cdf = jnp.cumsum(face_areas(world.geometry, world.blocks))
     choice, side = s.pair_at(0)
     face = jnp.minimum(jnp.searchsorted(cdf, choice * cdf[-1], side="right"), cdf.shape[0] - 1).astype(jnp.int32)
-    row, u = world.geometry[face], s.pair_at(1)
-    o, e1, e2 = (Vec3(*row[k : k + 3]) for k in (0, 3, 6))
-    k = jnp.searchsorted(jnp.cumsum(jnp.array(world.blocks)), face, side="right")
-    ball = uniform_sphere(u)
-    radius = jnp.linalg.norm(row[3:6])
-    places, is_kind = (uniform_triangle(u), u, uniform_disk(u)), [k == j for j in range(3)]
-    a, b = (jnp.select(is_kind, [jnp.broadcast_to(p[i], choice.shape) for p in places]) for i in (0, 1))
-    y = o + e1 * a + e2 * b
-    n = where(k == 3, ball, normalise(cross(e1, e2)))
-    y = where(k == 3, o + ball * radius, y)
+    y, n = even_point(world, face, s.pair_at(1))
     x = surface_point(world, face, y + n, -n)
     local = cosine_hemisphere(s.pair_at(2))
     up = jnp.where(side < 0.5, 1.0, -1.0)
@@ -202,11 +194,9 @@ def surface_sample(world: World, s: Stream) -> tuple[SurfacePoint, Vec3, Any]:
 def inner(scene: Scene | World, a: Any, b: Any, key: Any = 0, n: int = 4096) -> Any:
     """⟨a, b⟩ = ∬ a b dμ dA over both sides of all faces, for each channel, (C,), by n samples.
 
-    Cylinders are not supported. With G* = G, K* = K and T* = G K in closed scenes.
+    With G* = G, K* = K and T* = G K in closed scenes.
     """
     world = world_of(scene)
-    if world.blocks[4]:
-        raise ValueError("inner: surfaces with cylinders are not supported; use a mesh")
     if world.instances is not None:
         raise ValueError("inner: surfaces of instances are not supported; write them out as meshes")
     seed = seed_of(key)

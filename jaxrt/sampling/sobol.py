@@ -20,8 +20,8 @@ _U = np.uint32
 
 def hash_u32(x: Any) -> UInt32[Array, ...]:
     """A bijective mixing of 32 bits (Ellmann and Wellons 2018, lowbias32)."""
-    if isinstance(x, np.uint32):  # numpy warns where a number overflows, but not in arrays
-        return hash_u32(x[None])[0]
+    if isinstance(x, np.generic):  # numpy warns where a number overflows, but not in arrays
+        return hash_u32(np.asarray([x]))[0]
     x = x ^ (x >> _U(16))
     x = x * _U(0x7FEB352D)
     x = x ^ (x >> _U(15))

@@ -10,6 +10,7 @@ import numpy as np
 
 from ..brdf import MaterialColumns
 from ..casting import cast
+from ..chart import even_point
 from ..compiler import program, remembered
 from ..sampling.sobol import Stream
 from ..sampling.warp import cosine_hemisphere
@@ -17,7 +18,6 @@ from ..scene import Scene
 from ..surface import _row, surface_point
 from ..vector import Frame, dot
 from ..world import FACE, World
-from .elements import place
 from .partition import areas_of_faces, diffuse_sides
 
 FIELD_FROM = 1 << 21
@@ -64,10 +64,8 @@ def _again(world: World, sides: Any, diffuse: Any) -> Any:
 
     def one(side: Any, k: Any) -> Any:
         s = Stream(k, jnp.uint32(1))
-        a, b = s.pair_at(0)
         face = side % faces
-        fold = (face < world.first("parallelogram")) & (a + b > 1.0)
-        y, n = place(world, face, jnp.where(fold, 1.0 - a, a), jnp.where(fold, 1.0 - b, b))
+        y, n = even_point(world, face, s.pair_at(0))
         n = n * jnp.where(side < faces, 1.0, -1.0)
         w = Frame.around(n).to_world(cosine_hemisphere(s.pair_at(1)))
         x = cast(world, surface_point(world, face, y + n, -n), w)

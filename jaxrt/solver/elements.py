@@ -14,11 +14,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int32
 
-from ..sampling.warp import circle
-from ..scene import KINDS
-from ..surface import SurfacePoint, _row, _vec
-from ..vector import Vec3, cross, dot, normalise, safe_sqrt, where
-from ..world import FACE, World
+from ..chart import coordinates, place
+from ..surface import SurfacePoint, _row
+from ..vector import Vec3, dot, safe_sqrt
+from ..world import World
 
 BLACK = 0
 """The element of all sides that reflect nothing; the first real one is 1."""
@@ -102,56 +101,6 @@ def cornered(a: Any, b: Any, corner: Any) -> tuple[Any, Any]:
     """Coordinates of a triangle as they count from another of its corners, 0, 1 or 2."""
     c = 1.0 - a - b
     return jnp.select([corner == 1, corner == 2], [b, c], a), jnp.select([corner == 1, corner == 2], [c, a], b)
-
-
-def coordinates(world: World, x: SurfacePoint) -> tuple[Any, Any]:
-    """Coordinates in [0, 1]² of a point on its face, with the same area everywhere on it."""
-    a, b = x.uv
-    turn = lambda s, c: jnp.mod(jnp.arctan2(s, c) / (2 * np.pi), 1.0)
-    if world.blocks[KINDS.index("disk")]:
-        disk = (x.face >= world.first("disk")) & (x.face < world.first("sphere"))
-        a, b = jnp.where(disk, a * a + b * b, a), jnp.where(disk, turn(b, a), b)
-    if not sum(world.blocks[KINDS.index("sphere") :]):
-        return a, b
-    row = _row(world.geometry, jnp.maximum(x.face, 0))
-    o, e1, e2 = _vec(row, 0), _vec(row, 3), _vec(row, 6)
-    v = x.position - o
-    if world.blocks[KINDS.index("sphere")]:
-        ball = (x.face >= world.first("sphere")) & (x.face < world.first("cylinder"))
-        n = normalise(v)
-        a, b = jnp.where(ball, 0.5 + 0.5 * n.z, a), jnp.where(ball, turn(n.y, n.x), b)
-    if world.blocks[KINDS.index("cylinder")]:
-        tube = x.face >= world.first("cylinder")
-        across = cross(normalise(e1), e2)
-        height = dot(v, e1) / jnp.where(tube, dot(e1, e1), 1.0)
-        a, b = jnp.where(tube, height, a), jnp.where(tube, turn(dot(v, across), dot(v, e2)), b)
-    return a, b
-
-
-def place(world: World, face: Any, a: Any, b: Any) -> tuple[Vec3, Vec3]:
-    """Position and normal (of the front) at coordinates of a face: the inverse of `coordinates`."""
-    row = _row(world.geometry, face)
-    o, e1, e2 = _vec(row, 0), _vec(row, 3), _vec(row, 6)
-    table = _row(world.faces, face)
-    n, side = _vec(table, FACE["n"]), table[FACE["side"]]
-    c, s = circle(b)
-    if world.blocks[KINDS.index("disk")]:
-        disk, r = face >= world.first("disk"), safe_sqrt(a)
-        f, g = jnp.where(disk, r * c, a), jnp.where(disk, r * s, b)
-    else:
-        f, g = a, b
-    y = o + e1 * f + e2 * g
-    if world.blocks[KINDS.index("sphere")]:
-        ball = face >= world.first("sphere")
-        z = 2.0 * a - 1.0
-        r = safe_sqrt(1.0 - z * z)
-        out = Vec3(r * c, r * s, z)
-        y, n = where(ball, o + out * safe_sqrt(dot(e1, e1)), y), where(ball, out * side, n)
-    if world.blocks[KINDS.index("cylinder")]:
-        tube = face >= world.first("cylinder")
-        out = normalise(e2) * c + cross(normalise(e1), normalise(e2)) * s
-        y, n = where(tube, o + e1 * a + out * safe_sqrt(dot(e2, e2)), y), where(tube, out * side, n)
-    return y, n
 
 
 def in_piece(world: World, face: Any, row: Any, a: Any, b: Any) -> tuple[Vec3, Vec3]:

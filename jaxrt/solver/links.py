@@ -14,7 +14,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int32
 
 from ..brdf import MaterialColumns
-from ..compiler import one_function
+from ..compiler import one_function, over_devices
 from ..rules import met_share
 from ..sampling.sobol import Stream, combine
 from ..surface import _row, radiance_of, surface_point
@@ -229,8 +229,8 @@ def link_rows(world: World, elements: Elements, seed: Any, rows: Any, count: int
 
     `follow`: whether some landings are not on elements and are to be followed.
     """
-    world = _met(world, elements)
-    return jax.lax.map(lambda row: _links(world, elements, seed, row, count, follow, lengths), rows)
+    one = lambda world, elements, seed, row: _links(world, elements, seed, row, count, follow, lengths)
+    return over_devices(one, rows, _met(world, elements), elements, seed)
 
 
 def _met(world: World, elements: Elements) -> World:
@@ -245,7 +245,7 @@ def _link_rows_jvp(primals: Any, tangents: Any) -> Any:
     world, elements, seed, rows, count, follow, lengths = primals
 
     def fixed(world: World) -> Links:
-        world = _met(world, elements)
-        return jax.lax.map(lambda row: _links_fixed(world, elements, seed, row, count, follow, lengths), rows)
+        one = lambda world, elements, seed, row: _links_fixed(world, elements, seed, row, count, follow, lengths)
+        return over_devices(one, rows, _met(world, elements), elements, seed)
 
     return eqx.filter_jvp(fixed, (world,), (tangents[0],))

@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from ..compiler import over_devices
 from ..effects import Plan
 from ..effects import plan as make_plan
 from ..parts import SceneError
@@ -71,18 +72,6 @@ def _chunks(numbers: Any, lanes: int) -> Any:
     return numbers[jnp.arange(-(-n // lanes) * lanes) % n].reshape(-1, lanes)
 
 
-def _over_devices(f: Any, rows: Any, *whole: Any) -> Any:
-    """f(*whole, row) for each of `rows`, one after another on each device of this process."""
-    devices, n = jax.local_devices(), rows.shape[0]
-    each = lambda rows, *whole: jax.lax.map(lambda row: f(*whole, row), rows)
-    if len(devices) == 1 or n == 1 or jax.sharding.get_abstract_mesh().axis_names:  # the last: sharded by the caller
-        return each(rows, *whole)
-    rows = rows[np.resize(np.arange(n), -(-n // len(devices)) * len(devices))]
-    split, same = jax.sharding.PartitionSpec("device"), jax.sharding.PartitionSpec()
-    mesh, specs = jax.sharding.Mesh(np.array(devices), ("device",)), (split, *(same for _ in whole))
-    return jax.shard_map(each, mesh=mesh, in_specs=specs, out_specs=split, check_vma=False)(rows, *whole)[:n]
-
-
 def _compensated(step: Any, start: Any, count: int) -> Any:
     """Σ step(k), k < count, by Kahan's sum."""
 
@@ -109,7 +98,7 @@ def _means(
         start = jnp.zeros((row.shape[0], world.plan.channels), world.faces.dtype)
         return _compensated(one, start, -(-spp // PASS)) / spp
 
-    return _over_devices(chunk, numbers, world, begin, depths, seed, field)
+    return over_devices(chunk, numbers, world, begin, depths, seed, field)
 
 
 @_means.def_jvp
@@ -126,7 +115,7 @@ def _means_jvp(primals: Any, tangents: Any) -> Any:
         return path.trace_fixed(world, begin, steps, depths, seed, row, spp, field)
 
     def fixed(world: World, begin: Any, field: Any) -> Any:
-        values = _over_devices(chunk, wide, world, begin, depths, seed, field)
+        values = over_devices(chunk, wide, world, begin, depths, seed, field)
         return values.reshape(-1, values.shape[-1])[: numbers.size].reshape(*numbers.shape, -1)
 
     return eqx.filter_jvp(fixed, (world, begin, field), (tangents[0], tangents[1], tangents[4]))
