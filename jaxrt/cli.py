@@ -233,9 +233,10 @@ def _render(args: argparse.Namespace) -> None:
 def _closing(sol: Solution) -> str:
     height, width = sol.image.shape[:2]
     s, error = sol.stats, sol.relative_error
+    solved = f"solved in {s['seconds_solve']:.1f} s, " if s["method"] == "field" else ""
     return (
         f"{width}x{height}, {s['spp']} samples a pixel by {s['method']}, compiled in {s['seconds_compile']:.1f} s, "
-        f"ran {s['seconds_run']:.1f} s, relative error {'unknown' if math.isnan(error) else f'{error:.2%}'}"
+        f"{solved}ran {s['seconds_run']:.1f} s, relative error {'unknown' if math.isnan(error) else f'{error:.2%}'}"
     )
 
 

@@ -7,6 +7,7 @@ import hashlib
 import os
 import pickle
 import platform
+import time
 import weakref
 from collections.abc import Callable
 from pathlib import Path
@@ -39,11 +40,17 @@ REMEMBERED = 8
 """Results of a `remembered` function that one argument keeps."""
 
 _programs: dict[Any, Callable[..., Any]] = {}
+_spent = [0.0]
 
 
 def programs() -> int:
     """How many programs this process has made or loaded."""
     return len(_programs)
+
+
+def seconds_spent() -> float:
+    """How long this process has been making or loading programs."""
+    return _spent[0]
 
 
 def program(f: Callable[..., Any], *like: Any, static: tuple[Any, ...] = (), keep: bool = True) -> Callable[..., Any]:
@@ -56,7 +63,9 @@ def program(f: Callable[..., Any], *like: Any, static: tuple[Any, ...] = (), kee
     shapes = tuple((tuple(leaf.shape), str(leaf.dtype)) for leaf in leaves)
     key = (f, tree, shapes, static)
     if key not in _programs:
+        began = time.perf_counter()
         _programs[key] = _make(f, leaves, tree, static, _file(f, tree, (shapes, static)) if keep else None)
+        _spent[0] += time.perf_counter() - began
     return _programs[key]
 
 

@@ -74,7 +74,6 @@ def paths(scene: Any, peer: Any, mi: Any, size: int, spp: int, depth: int, repea
         state["seed"] += 1
         start = time.perf_counter()
         sol = jaxrt.render(scene, spp=spp, seed=state["seed"], max_depth=depth, rr_depth=5)
-        # all but compiling, once that is done: what is left of it then is looking the program up
         return None if state["seed"] == 1 else time.perf_counter() - start - sol.stats["seconds_compile"]
 
     def theirs() -> None:

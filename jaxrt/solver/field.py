@@ -306,6 +306,7 @@ def for_picture(
     values = jax.device_put(np.stack([values for values, *_ in solved]))
     stored = Stored(elements, values, near, block_of(spp), gathers)
     said: dict[str, Any] = {"elements": count, "directions": directions, "field_iterations": int(solved[0][1])}
+    said["field_bytes"] = sum(a.nbytes for a in jax.tree.leaves((links, elements)))
     if not all(good for *_, good in solved):
         said["unsolved"] = unsolved(float(program(spectral_radius, links)(links)))
     return stored, said

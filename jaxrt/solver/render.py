@@ -14,7 +14,7 @@ import jax
 import numpy as np
 
 from .. import __version__
-from ..compiler import cores, program, remembered
+from ..compiler import cores, program, remembered, seconds_spent
 from ..effects import Plan
 from ..effects import plan as make_plan
 from ..parts import SceneError
@@ -152,23 +152,26 @@ def render(  # pyright: ignore[reportInconsistentOverload]  # options are those 
 
     # Run-time numbers go in as arrays: other sizes, depths and seeds use the same program.
     depths = path.Depths(np.int32(depths.max_depth), np.int32(depths.rr_depth), np.bool_(depths.hide_emitters))
-    key, began = np.asarray(seed_of(seed)), time.perf_counter()
+    key, spent = np.asarray(seed_of(seed)), seconds_spent()
     world, tables = _prepared(scene, plan, real)
     depth, paths = int(depths.max_depth), spp * sum(int(v.width) * int(v.height) for v in views)
     chosen, why = choose(world, tables, depth, paths) if method == "auto" else (method, "asked for")
-    field, said = None, {}
+    field, said, seconds_solve = None, {}, 0.0
     with ThreadPoolExecutor(threads) as pool:
         if chosen == "field":
+            began, before = time.perf_counter(), seconds_spent()
             field, said = for_picture(world, tables, key, depth, paths, spp, pool)
-        solved = time.perf_counter()
+            seconds_solve = time.perf_counter() - began - (seconds_spent() - before)
         found = []
         for k, (view, n) in enumerate(zip(views, lanes, strict=True)):
             part = progress and (lambda done, k=k: progress((k + done) / len(views)))
             found.append(_picture(world, view, depths, key, spp, n, field, pool, part))
-    for k, sol in enumerate(found):
+            found[-1].stats["seconds_compile"] = seconds_spent() - spent
+            found[-1].stats["seconds_solve"], seconds_solve = seconds_solve, 0.0
+            spent = seconds_spent()
+    for sol in found:
         sol.stats |= {"method": chosen, "why": why, **said}
         sol.failed |= "unsolved" in said
-        sol.stats["seconds_compile"] += solved - began if k == 0 else 0.0
         sol.header = {
             "version": __version__,
             "scene": scene.structure.source,
@@ -177,7 +180,7 @@ def render(  # pyright: ignore[reportInconsistentOverload]  # options are those 
             "method": chosen,
             "samples": spp,
             "max_depth": sol.stats["max_depth"],
-            "seconds": sol.stats["seconds_compile"] + sol.stats["seconds_run"],
+            "seconds": sum(sol.stats[f"seconds_{part}"] for part in ("compile", "solve", "run")),
         }
     return found[0] if isinstance(sensor, (int, np.integer)) else found
 
@@ -187,7 +190,7 @@ def _picture(
     pool: ThreadPoolExecutor, progress: Callable[[float], None] | None,
 ) -> Solution:  # fmt: skip
     """The picture of one view, block by block of pixels on the threads of `pool`."""
-    began, plan, threads = time.perf_counter(), world.plan, cores()
+    plan, threads = world.plan, cores()
     width, height = int(view.width), int(view.height)
     n = width * height
     # Pixels of a lane, and rows of lanes of a program: neither is to end too soon, nor one thread before the others.
@@ -214,7 +217,7 @@ def _picture(
 
     args = world, view, depths, key
     run = program(path.trace_rows, *args, in_rows(pixels_of(0, 1)), np.int32(1), np.int32(0), np.int32(1), field)
-    compiled = time.perf_counter()
+    began = time.perf_counter()
 
     passes = [(a, min(a + PASS, spp)) for a in range(0, spp, PASS)]
     sets = path.SETS if field is None else path.HALVES
@@ -268,8 +271,7 @@ def _picture(
         "rays": int(rays.sum()),
         "iterations": blocks * len(passes),
         "max_depth": int(depths.max_depth),
-        "seconds_compile": compiled - began,
-        "seconds_run": finished - compiled,
+        "seconds_run": finished - began,
         "threads": threads,
         "nonfinite": int((~np.isfinite(image)).sum()),
     }
