@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any
 
 import numpy as np
@@ -51,89 +52,133 @@ def diffuse_sides(world: World, scene: Scene) -> tuple[np.ndarray, np.ndarray]:
     return np.concatenate([diffuse, diffuse]) & reflects, ~reflects
 
 
+@dataclasses.dataclass
+class _Sides:
+    """The sides of faces that are cut into elements: number and face of each, cells along both of its coordinates, the
+    corner from which those count, the lengths (m) along them, and whether they are smaller than an element."""
+
+    number: np.ndarray
+    face: np.ndarray
+    triangle: np.ndarray
+    nu: np.ndarray
+    nv: np.ndarray
+    corner: np.ndarray
+    legs: tuple[np.ndarray, np.ndarray]
+    small: np.ndarray
+    h: float
+
+    @classmethod
+    def of(cls, world: World, number: np.ndarray, area: np.ndarray, resolution: int) -> _Sides:
+        geometry, face = np.asarray(world.geometry, np.float64), number % max(len(area), 1)
+        kind = np.searchsorted(np.cumsum(world.blocks), face, side="right")
+        h = float(np.sqrt(area[face].sum() / max(resolution, 1))) or 1.0
+        l1, l2 = (np.linalg.norm(geometry[face, k : k + 3], axis=1) for k in (3, 6))
+        ball, tube = kind == KINDS.index("sphere"), kind == KINDS.index("cylinder")
+        l1 = np.where(ball, 2 * l1, l1)
+        around = np.where((kind == KINDS.index("disk")) | ball, np.pi * l1, l2)
+        l2 = np.where(tube, 2 * np.pi * l2, around)
+        nu, nv = (np.maximum(np.round(v / h), 1).astype(int) for v in (l1, l2))
+        triangle = kind == KINDS.index("triangle")
+        n = np.maximum(nu, nv)
+        nu, nv = np.where(triangle, n, nu), np.where(triangle, n, nv)
+        # A triangle counts from the corner opposite to its longest side, which is most often no edge of a wall:
+        # opposite to o lies e2 − e1, to o + e1 lies e2.
+        l3 = np.linalg.norm(geometry[face, 6:9] - geometry[face, 3:6], axis=1)
+        corner = np.where(triangle, np.argmax([l3, l2, l1], 0), 0)
+        one, other = np.where(corner == 0, (l1, l2), np.where(corner == 1, (l3, l1), (l2, l3)))
+        return cls(number, face, triangle, nu, nv, corner, (one, other), (l1 < 0.75 * h) & (l2 < 0.75 * h), h)
+
+
+@dataclasses.dataclass
+class _Cells:
+    """Cells of all sides, one after another: side, row and column, into how many parts each is cut along both, whether
+    it is the half at the long side of a triangle, and how many pieces come before it."""
+
+    side: np.ndarray
+    i: np.ndarray
+    j: np.ndarray
+    level: np.ndarray
+    half: np.ndarray
+    first: np.ndarray  # cell of each side
+    before: np.ndarray
+
+    @classmethod
+    def of(cls, sides: _Sides, levels: np.ndarray | None, clustered: bool) -> _Cells:
+        first = np.concatenate([[0], np.cumsum(sides.nu * sides.nv)])
+        s = np.repeat(np.arange(len(sides.face)), sides.nu * sides.nv)
+        i, j = np.divmod(np.arange(first[-1]) - first[s], sides.nv[s])
+        outside, half = (sides.triangle[s] & test for test in (i + j > sides.nu[s] - 1, i + j == sides.nu[s] - 1))
+        level = np.ones(len(s), int) if levels is None else np.asarray(levels, int)
+        level = np.where(clustered & sides.small[s], 1, level)
+        parts = np.where(outside, 0, np.where(half, level * (level + 1) // 2, level * level))
+        return cls(s, i, j, level, half, first[:-1], np.concatenate([[0], np.cumsum(parts)]))
+
+
+def _pieces(sides: _Sides, cells: _Cells, area: np.ndarray, faces: int) -> tuple[np.ndarray, ...]:
+    """Pieces, row by row in each cell: cell, row of `Elements.rectangle`, area and shorter extent of each."""
+    cell = np.repeat(np.arange(len(cells.side)), np.diff(cells.before))
+    within, k, half = np.arange(cells.before[-1]) - cells.before[cell], cells.level[cell], cells.half[cell]
+    a = np.where(half, _row_of_triangle(within, k), within // k)
+    b = within - np.where(half, _before_row(a, k), a * k)
+    s, cut = cells.side[cell], half & (a + b == k - 1)
+    at_u, at_v = (cells.i[cell] * k + a) / (sides.nu[s] * k), (cells.j[cell] * k + b) / (sides.nv[s] * k)
+    start_u, start_v = spaced(at_u), spaced(at_v)
+    extent = spaced(at_u + 1.0 / (sides.nu[s] * k)) - start_u, spaced(at_v + 1.0 / (sides.nv[s] * k)) - start_v
+    front = np.where(sides.number[s] < faces, 1.0, -1.0)
+    rectangle = np.stack([start_u, start_v, *extent, cut, front, sides.corner[s]], -1)
+    share = extent[0] * extent[1] * np.where(sides.triangle[s], 2.0, 1.0) * np.where(cut, 0.5, 1.0)
+    shorter = np.minimum(extent[0] * sides.legs[0][s], extent[1] * sides.legs[1][s])
+    return cell, rectangle, area[sides.face[s]] * share, shorter
+
+
+def _grids(sides: _Sides, cells: _Cells, most: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Grids of sides as fine as their finest cells (`most` parts): the first place of each and the last one's end, and
+    the piece at each place."""
+    fu, fv = sides.nu * most, sides.nv * most
+    first = np.concatenate([[0], np.cumsum(fu * fv)])
+    s = np.repeat(np.arange(len(sides.face)), fu * fv)
+    i, j = np.divmod(np.arange(first[-1]) - first[s], fv[s])
+    m = most[s]
+    row, column = i // m, j // m
+    beyond = sides.triangle[s] & (row + column > sides.nu[s] - 1)
+    column = np.where(beyond, np.maximum(sides.nu[s] - 1 - row, 0), column)
+    c = cells.first[s] + row * sides.nv[s] + column
+    k, half = cells.level[c], cells.half[c]
+    a, b = (i % m) * k // m, (j % m) * k // m
+    b = np.where(half, np.minimum(b, k - 1 - a), b)
+    return first, cells.before[c] + np.where(half, _before_row(a, k), a * k) + b
+
+
 def partition(
     world: World, scene: Scene, resolution: int, levels: np.ndarray | None = None
 ) -> tuple[Elements, np.ndarray, np.ndarray]:
     """About `resolution` elements, each cell cut further into `levels`² parts; element and cell of each piece."""
-    faces, geometry = sum(world.blocks), np.asarray(world.geometry, np.float64)
+    faces, area = sum(world.blocks), areas_of_faces(world)
     diffuse, black = diffuse_sides(world, scene)
-    area = areas_of_faces(world)
-    sides = np.flatnonzero(diffuse & np.tile(area > 0, 2))
-    face = sides % max(faces, 1)
-    kind = np.searchsorted(np.cumsum(world.blocks), face, side="right")
-    h = np.sqrt(area[face].sum() / max(resolution, 1)) or 1.0
-    l1, l2 = (np.linalg.norm(geometry[face, k : k + 3], axis=1) for k in (3, 6))
-    round_ = kind == KINDS.index("disk")
-    ball, tube = kind == KINDS.index("sphere"), kind == KINDS.index("cylinder")
-    l1 = np.where(ball, 2 * l1, l1)
-    l2 = np.where(round_ | ball, 2 * np.pi * l1 * 0.5, np.where(tube, 2 * np.pi * l2, l2))
-    nu, nv = (np.maximum(np.round(v / h), 1).astype(int) for v in (l1, l2))
-    triangle = kind == KINDS.index("triangle")
-    n = np.maximum(nu, nv)
-    nu, nv = np.where(triangle, n, nu), np.where(triangle, n, nv)
-    # A triangle counts from the corner opposite to its longest side, which is most often no edge of a wall.
-    l3 = np.linalg.norm(geometry[face, 6:9] - geometry[face, 3:6], axis=1)
-    corner = np.where(triangle, np.argmax([l3, l2, l1], 0), 0)  # opposite to o lies e2 − e1, to o + e1 lies e2
-
-    # Cells of the first partition.
-    start = np.concatenate([[0], np.cumsum(nu * nv)])
-    of = np.repeat(np.arange(len(sides)), nu * nv)
-    i, j = np.divmod(np.arange(start[-1]) - start[of], nv[of])
-    outside, half = triangle[of] & (i + j > nu[of] - 1), triangle[of] & (i + j == nu[of] - 1)
-    level = np.ones(len(of), int) if levels is None else np.asarray(levels, int)
-    small = (l1 < 0.75 * h) & (l2 < 0.75 * h)
-    clustered = bool(small.sum() > resolution / 2)
-    level = np.where(clustered & small[of], 1, level)
-    parts = np.where(outside, 0, np.where(half, level * (level + 1) // 2, level * level))
-    offset = np.concatenate([[0], np.cumsum(parts)])
-
-    # Pieces: cell by cell, row by row.
-    cell = np.repeat(np.arange(len(of)), parts)
-    within = np.arange(offset[-1]) - offset[cell]
-    k = level[cell]
-    a = np.where(half[cell], _row_of_triangle(within, k), within // k)
-    b = within - np.where(half[cell], _before_row(a, k), a * k)
-    s = of[cell]
-    cut = half[cell] & (a + b == k - 1)
-    at_u, at_v = (i[cell] * k + a) / (nu[s] * k), (j[cell] * k + b) / (nv[s] * k)
-    start_u, start_v = spaced(at_u), spaced(at_v)
-    extent = spaced(at_u + 1.0 / (nu[s] * k)) - start_u, spaced(at_v + 1.0 / (nv[s] * k)) - start_v
-    front = np.where(sides[s] < faces, 1.0, -1.0)
-    rectangle = np.stack([start_u, start_v, *extent, cut, front, corner[s]], -1)
-    piece_area = area[face[s]] * extent[0] * extent[1] * np.where(triangle[s], 2.0, 1.0) * np.where(cut, 0.5, 1.0)
-
-    legs = np.where(corner == 0, (l1, l2), np.where(corner == 1, (l3, l1), (l2, l3)))
-    shorter = np.minimum(extent[0] * legs[0][s], extent[1] * legs[1][s])
+    sides = _Sides.of(world, np.flatnonzero(diffuse & np.tile(area > 0, 2)), area, resolution)
+    clustered = bool(sides.small.sum() > resolution / 2)
+    cells = _Cells.of(sides, levels, clustered)
+    cell, rectangle, piece_area, shorter = _pieces(sides, cells, area, faces)
+    s = cells.side[cell]
 
     # Elements: a piece each, but small faces of one shape that lie together and look the same way share one.
     element = np.arange(len(cell))
     if clustered:
-        element = _clusters(scene, element, small[s], face[s], front, geometry, h)
+        geometry = np.asarray(world.geometry, np.float64)
+        element = _clusters(scene, element, sides.small[s], sides.face[s], rectangle[:, 5], geometry, sides.h)
     order = np.argsort(element, kind="stable")
     members = np.bincount(element, minlength=element.max(initial=-1) + 1)
-    # The grid of a side is as fine as its finest cell.
-    most = np.ones(len(sides), int)
-    np.maximum.at(most, of, level)
-    fu, fv = nu * most, nv * most
-    fine_start = np.concatenate([[0], np.cumsum(fu * fv)])
-    at = np.repeat(np.arange(len(sides)), fu * fv)
-    fi, fj = np.divmod(np.arange(fine_start[-1]) - fine_start[at], fv[at])
-    m = most[at]
-    ci, cj = fi // m, fj // m
-    beyond = triangle[at] & (ci + cj > nu[at] - 1)
-    cj = np.where(beyond, np.maximum(nu[at] - 1 - ci, 0), cj)
-    c = start[at] + ci * nv[at] + cj
-    k = level[c]
-    a, b = (fi % m) * k // m, (fj % m) * k // m
-    b = np.where(half[c], np.minimum(b, k - 1 - a), b)
-    local = np.where(half[c], _before_row(a, k), a * k) + b
-    cells = element[np.minimum(offset[c] + local, max(len(element) - 1, 0))] + 1 if len(element) else np.zeros(0, int)
-
-    span = np.ones(len(members), int)
-    span[element] = np.where(np.bincount(element)[element] > 1, 0, most[s] // level[cell])
+    most = np.ones(len(sides.face), int)
+    np.maximum.at(most, cells.side, cells.level)
+    first_place, piece = _grids(sides, cells, most)
+    place = element[np.minimum(piece, max(len(element) - 1, 0))] + 1 if len(element) else np.zeros(0, int)
     grid = np.zeros((2 * faces + 1, 4), np.int32)
     grid[:-1][black] = (0, 1, 1, 0)  # the cell of the black element
-    grid[sides] = np.stack([fine_start[:-1] + 1, fu, fv, corner], -1)
+    grid[sides.number] = np.stack([first_place[:-1] + 1, sides.nu * most, sides.nv * most, sides.corner], -1)
+    span = np.ones(len(members), int)
+    span[element] = np.where(members[element] > 1, 0, most[s] // cells.level[cell])
+
+    # Tables, with the black element first, filled up to one of a few sizes.
     real = len(members) + 1
     total, pieces = bucket(real), bucket(len(cell) + 1)
     first = np.full(total + 1, len(cell) + 1)
@@ -149,9 +194,9 @@ def partition(
     as_float = lambda a, size: fill(black_first(a).astype(dtype), size)
     arrays: dict[str, Any] = dict(
         grid=grid,
-        cells=fill(black_first(cells).astype(np.int32), bucket(len(cells) + 1)),
+        cells=fill(black_first(place).astype(np.int32), bucket(len(place) + 1)),
         first=np.minimum(first, pieces - 1).astype(np.int32),
-        face=fill(black_first(face[s][order]).astype(np.int32), pieces),
+        face=fill(black_first(sides.face[s][order]).astype(np.int32), pieces),
         rectangle=as_float(rectangle[order], pieces),
         ends=np.cumsum(as_float(piece_area[order], pieces)),
         span=fill(black_first(span).astype(np.int32), total),
