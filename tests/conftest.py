@@ -19,3 +19,8 @@ def getkey() -> Callable[[], jax.Array]:
     """A function that gives another key each time it is called, and the same ones in every run."""
     counter = itertools.count()
     return lambda: jax.random.key(next(counter))
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """The solvers' tests first: they take longest, and no worker should be left alone with them at the end."""
+    items.sort(key=lambda item: "solver" not in item.path.parts)

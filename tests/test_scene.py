@@ -72,7 +72,7 @@ def test_scenes_of_one_bucket_share_a_program():
     jaxrt.render(jaxrt.resized(other, 0, 5, 3), spp=9, seed=4, max_depth=5)
     assert compiler.programs() == count
     jaxrt.render(scene(9), spp=1, max_depth=2)
-    assert compiler.programs() == count + 2  # its world and its picture
+    assert compiler.programs() == count + 4  # its world, two for lamps' borders, its picture
 
 
 def test_a_scene_needs_shapes():

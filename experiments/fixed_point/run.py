@@ -136,7 +136,7 @@ def spectrum(quick: bool) -> None:
         ax.semilogy(np.arange(1, 61), np.maximum(values[:60], 1e-4), "o-", ms=3, label=name, color=color)
         rows += [[name, k + 1, v] for k, v in enumerate(values[:60])]
         print(f"{name:20} largest |λ|: {', '.join(f'{v:.3f}' for v in values[:5])}", flush=True)
-    ax.set(xlabel="number", ylabel="|λ| of T", ylim=(5e-3, 1))
+    ax.set(xlabel="number", ylabel="|λ| of T", ylim=(0.1, 1))
     ax.legend()
     save(fig, "spectrum", ["scene", "number", "modulus"], rows)
 

@@ -26,6 +26,9 @@ from .elements import BLACK, Elements, element_of, sampled
 FARTHEST = 64
 """Reflections after which a link that found no element is given up."""
 
+PATIENCE = 2
+"""Reflections after which a link ends also on an element that something stands on: below a box nothing else is met."""
+
 DERIVED = 6
 """Reflections that derivatives follow a link."""
 
@@ -109,7 +112,8 @@ def advance(
     element = element_of(world, elements, x, -at.d)
     holds = element >= 0
     if follow:
-        holds = holds & (_row(elements.size, jnp.maximum(element, 0)) < jnp.inf)
+        coarse = _row(elements.size, jnp.maximum(element, 0)) == jnp.inf
+        holds = holds & (~coarse | (at.depth >= PATIENCE))
     ended = ~at.alive | holds | (x.face < 0) | (at.depth >= FARTHEST) | (not follow)
     share = met_share(world, x, at.o, at.d, at.pdf, at.delta)
     met = at.beta * radiance_of(world, x, -at.d) * share
