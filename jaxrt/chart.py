@@ -64,6 +64,11 @@ def place(world: World, face: Any, a: Any, b: Any) -> tuple[Vec3, Vec3]:
     return y, n
 
 
+def off_surface(world: World, y: Vec3, n: Vec3) -> Vec3:
+    """A point so little above one of a surface that a ray back along n lands there, also within a small sphere."""
+    return y + n * (4.0 * world.epsilon)
+
+
 def even_point(world: World, face: Any, u: tuple[Any, Any]) -> tuple[Vec3, Vec3]:
     """A point of a face with even density, and the normal of its front."""
     fold = (face < world.first("parallelogram")) & (u[0] + u[1] > 1.0)

@@ -119,7 +119,14 @@ def _circumstances() -> str:
     if Path("/proc/cpuinfo").exists():
         flags = next((line for line in Path("/proc/cpuinfo").read_text().splitlines() if line.startswith("flags")), "")
     device = jax.devices()[0]
-    parts = (source.hexdigest(), jax.__version__, device.client.platform_version, device.device_kind, flags)
+    parts = (
+        jax.local_device_count(),
+        source.hexdigest(),
+        jax.__version__,
+        device.client.platform_version,
+        device.device_kind,
+        flags,
+    )
     return repr((*parts, platform.machine(), jax.config.jax_enable_x64))  # pyright: ignore[reportAttributeAccessIssue]
 
 

@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 
 from .casting import Psi
-from .chart import even_point
+from .chart import even_point, off_surface
 from .rules import BrdfRule, MisRule
 from .sampling.sobol import Stream, seed_of
 from .sampling.warp import cosine_hemisphere
@@ -184,7 +184,7 @@ def surface_sample(world: World, s: Stream) -> tuple[SurfacePoint, Vec3, Any]:
     choice, side = s.pair_at(0)
     face = jnp.minimum(jnp.searchsorted(cdf, choice * cdf[-1], side="right"), cdf.shape[0] - 1).astype(jnp.int32)
     y, n = even_point(world, face, s.pair_at(1))
-    x = surface_point(world, face, y + n, -n)
+    x = surface_point(world, face, off_surface(world, y, n), -n)
     local = cosine_hemisphere(s.pair_at(2))
     up = jnp.where(side < 0.5, 1.0, -1.0)
     w = Frame.around(n).to_world(Vec3(local.x, local.y, local.z * up))

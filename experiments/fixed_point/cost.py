@@ -2,7 +2,7 @@
 
     python experiments/fixed_point/cost.py [--quick]
 
-The Cornell box at its fixed point, warm, the best of three; compiling, elements and sampling of links told apart. Bytes
+The Cornell box at its fixed point, warm, the best of three: links sampled and solved, elements given. Bytes
 are those that XLA plans for: arguments, results and what it keeps in between. Writes results/cost.csv and .png.
 """
 

@@ -111,9 +111,13 @@ class Drawn(eqx.Module):
 
 def seed_of(key: PRNGKeyArray | Array | int) -> UInt32[Array, ""] | np.uint32:
     """32 bits from a JAX key (new or old style) or a whole number, traced or not: a key only seeds the hash."""
-    if isinstance(key, int):  # of any size
+    if isinstance(key, (int, np.integer)):  # of any size
+        key = int(key)
         low, high = (_U((key >> k) & 0xFFFFFFFF) for k in (0, 32))
-        return combine(hash_u32(low), high)  # by numpy, for JAX takes 2 ms for these few operations one by one
+        seed, rest = combine(hash_u32(low), high), key >> 64
+        while rest not in (0, -1):
+            seed, rest = combine(seed, rest & 0xFFFFFFFF), rest >> 32
+        return seed  # by numpy, for JAX takes 2 ms for these few operations one by one
     if jnp.issubdtype(jnp.asarray(key).dtype, jax.dtypes.prng_key):
         key = jax.random.key_data(key)
     key = jnp.asarray(key)

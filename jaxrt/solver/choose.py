@@ -10,7 +10,7 @@ import numpy as np
 
 from ..brdf import MaterialColumns
 from ..casting import cast
-from ..chart import even_point
+from ..chart import even_point, off_surface
 from ..compiler import program, remembered
 from ..sampling.sobol import Stream
 from ..sampling.warp import cosine_hemisphere
@@ -68,7 +68,7 @@ def _again(world: World, sides: Any, diffuse: Any) -> Any:
         y, n = even_point(world, face, s.pair_at(0))
         n = n * jnp.where(side < faces, 1.0, -1.0)
         w = Frame.around(n).to_world(cosine_hemisphere(s.pair_at(1)))
-        x = cast(world, surface_point(world, face, y + n, -n), w)
+        x = cast(world, surface_point(world, face, off_surface(world, y, n), -n), w)
         met = jnp.maximum(x.face, 0) + jnp.where(dot(x.normal, w) > 0, faces, 0)
         finish = _row(world.faces, jnp.maximum(x.face, 0))[FACE["finish"]].astype(jnp.int32)
         albedo = _row(world.finishes, finish)[slice(*columns)].mean()

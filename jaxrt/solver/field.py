@@ -13,6 +13,7 @@ import optimistix as optx
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
+from ..chart import off_surface
 from ..compiler import cores, program, remembered
 from ..effects import Plan
 from ..effects import plan as make_plan
@@ -90,7 +91,7 @@ class Field(eqx.Module):
         if s is None:
             raise ValueError("a field is followed from mirrors and gloss with samples; give a Stream as third argument")
         depths = path.Depths(self.max_depth, 1 << 30, False)
-        begun = path.start(world, x.position + w, -w, depth=-1)
+        begun = path.start(world, off_surface(world, x.position, w), -w, depth=-1)
         begun = dataclasses.replace(begun, alive=(x.face >= 0) & (element < 0), scattered=jnp.zeros_like(begun.alive))
         stream = lambda state: path.bounce_stream(s, state.depth + 1)
         zero = jnp.int32(0)
@@ -207,7 +208,8 @@ def solve(
         elements = elements_of(scene, plan, resolution)
     key = jnp.asarray(seed_of(key))  # a whole number would be compiled in
     world, links = links_of(scene, plan, elements, key, int(directions), depth)
-    return _found(world, elements, links, key, rtol, solver, depth, int(check))
+    check = -(-int(check) // path.SETS) * path.SETS  # as many in each set
+    return _found(world, elements, links, key, rtol, solver, depth, check)
 
 
 def links_of(
@@ -250,9 +252,9 @@ def _rows(count: int, size: int = ROW) -> np.ndarray:
     return np.resize(np.arange(count, dtype=np.int32), -(-count // size) * size).reshape(-1, size)
 
 
-def lengths_of(follow: bool, depth: int) -> int:
-    """How many lengths of links have to be told apart."""
-    return LENGTHS if follow and depth >= 0 else 1
+def lengths_of(follow: bool, depth: int, before: bool = False) -> int:
+    """How many lengths of links have to be told apart: what came by mirrors is no light of lights, see `settled`."""
+    return LENGTHS if follow and (depth >= 0 or before) else 1
 
 
 def settled(links: Links, rtol: Any, solver: Any, depth: int, before: bool = False) -> tuple[Any, Any, Any]:
@@ -295,7 +297,7 @@ def for_picture(
     threads = cores()
     parts = threads * -(-count // (threads * PART))  # as many for every thread
     numbers = _rows(count, -(-count // parts))[:, None]
-    static = (directions, follow, lengths_of(follow, depth))
+    static = (directions, follow, lengths_of(follow, depth, gathers == 0))
     run = program(link_rows, world, elements, seed, numbers[0], static=static, keep=_keep(world))
     rows = list(pool.map(lambda row: jax.tree.map(np.asarray, run(world, elements, seed, row)), numbers))
     links = jax.tree.map(lambda *a: np.concatenate([b[0] for b in a])[:count], *rows)
@@ -339,7 +341,7 @@ class _Probes(eqx.Module):
     def __call__(self, world: World, number: Any, s: Stream) -> path.PathState:
         place = s.child(1)  # the path's own first reflection takes pairs from before the camera's
         _, y, n = sampled(world, self.elements, number, place.pair_at(0), place.pair_at(1)[0])
-        return path.start(world, y + n * (4.0 * world.epsilon), -n, depth=-1)
+        return path.start(world, off_surface(world, y, n), -n, depth=-1)
 
 
 def _error(world: World, stored: Stored, links: Links, seed: Any, depth: int, check: int) -> Error:

@@ -14,6 +14,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int32
 
 from ..brdf import MaterialColumns
+from ..chart import off_surface
 from ..compiler import one_function, over_devices
 from ..rules import met_share
 from ..sampling.sobol import Stream, combine
@@ -93,7 +94,7 @@ def begin(world: World, elements: Elements, seed: Any, e: Any, k: Any, at: tuple
     """Link k of element e, about to land on its own beginning: `at` a place in the element, or anywhere in it."""
     s = stream_of(seed, e, k)
     face, y, n = sampled(world, elements, e, s.pair_at(0) if at is None else at, s.pair_at(1)[0])
-    begun = path.start(world, y + n, -n, depth=-1)
+    begun = path.start(world, off_surface(world, y, n), -n, depth=-1)
     return Begun(replace(begun, pdf=0.0 * begun.pdf, delta=jnp.zeros_like(begun.alive)), face)
 
 

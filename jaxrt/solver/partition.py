@@ -108,7 +108,9 @@ class _Cells:
         s = np.repeat(np.arange(len(sides.face)), sides.nu * sides.nv)
         i, j = np.divmod(np.arange(first[-1]) - first[s], sides.nv[s])
         outside, half = (sides.triangle[s] & test for test in (i + j > sides.nu[s] - 1, i + j == sides.nu[s] - 1))
-        level = np.ones(len(s), int) if levels is None else np.asarray(levels, int)
+        level = np.ones(len(s), int)
+        if levels is not None:
+            level[: len(levels)] = levels  # the last cells may be outside of a triangle, and nobody asked for theirs
         level = np.where(clustered & sides.small[s], 1, level)
         parts = np.where(outside, 0, np.where(half, level * (level + 1) // 2, level * level))
         return cls(s, i, j, level, half, first[:-1], np.concatenate([[0], np.cumsum(parts)]))

@@ -348,7 +348,7 @@ def trace_fixed(
     @functools.partial(jax.checkpoint, prevent_cse=False)
     def one_pass(world: World, begin: Any, field: Any, numbers: Any, sample: Any) -> Any:
         def one(number: Any) -> Any:
-            s = sample_stream(seed, number, sample)
+            s = sample_stream(seed, number, sample, field)
 
             def body(path: PathState, _: Any) -> tuple[PathState, None]:
                 turn = bounce_stream(s, path.depth)

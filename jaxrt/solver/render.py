@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import os
 import threading
 import time
@@ -88,7 +89,7 @@ def _tiled(places: np.ndarray, width: int, height: int, side: int = 16) -> np.nd
 
 
 @remembered
-def _specialised(scene: Scene) -> Plan:
+def _specialised(scene: Scene, dtype: Any) -> Plan:
     return make_plan(scene, free=None)
 
 
@@ -144,31 +145,32 @@ def render(  # pyright: ignore[reportInconsistentOverload]  # options are those 
     sensors = [sensor] if isinstance(sensor, (int, np.integer)) else list(sensor)
     real = jax.dtypes.canonicalize_dtype(float)
     views, depths = [_view(scene, k, real) for k in sensors], depths_of(scene, max_depth, rr_depth)
-    plan = plan or _specialised(scene)
+    plan = plan or _specialised(scene, real)
     threads = cores()
     memory = machine_memory() / 4 if memory is None else memory
     chunk = lanes_of(plan) if chunk is None else chunk
     lanes = [_lanes((int(v.width), int(v.height), plan.out_channels), threads, chunk, memory) for v in views]
 
-    # Run-time numbers go in as arrays: other sizes, depths and seeds use the same program.
+    # Run-time numbers go in as arrays: paths of other sizes, depths and seeds use the same program.
     depths = path.Depths(np.int32(depths.max_depth), np.int32(depths.rr_depth), np.bool_(depths.hide_emitters))
-    key, spent = np.asarray(seed_of(seed)), seconds_spent()
+    key, spent, began = np.asarray(seed_of(seed)), seconds_spent(), time.perf_counter()
     world, tables = _prepared(scene, plan, real)
     depth, paths = int(depths.max_depth), spp * sum(int(v.width) * int(v.height) for v in views)
     chosen, why = choose(world, tables, depth, paths) if method == "auto" else (method, "asked for")
     field, said, seconds_solve = None, {}, 0.0
     with ThreadPoolExecutor(threads) as pool:
         if chosen == "field":
-            began, before = time.perf_counter(), seconds_spent()
+            start, before = time.perf_counter(), seconds_spent()
             field, said = for_picture(world, tables, key, depth, paths, spp, pool)
-            seconds_solve = time.perf_counter() - began - (seconds_spent() - before)
+            seconds_solve = time.perf_counter() - start - (seconds_spent() - before)
         found = []
         for k, (view, n) in enumerate(zip(views, lanes, strict=True)):
             part = progress and (lambda done, k=k: progress((k + done) / len(views)))
             found.append(_picture(world, view, depths, key, spp, n, field, pool, part))
-            found[-1].stats["seconds_compile"] = seconds_spent() - spent
-            found[-1].stats["seconds_solve"], seconds_solve = seconds_solve, 0.0
-            spent = seconds_spent()
+            now, made = time.perf_counter(), seconds_spent() - spent
+            run = now - began - made - seconds_solve
+            found[-1].stats |= {"seconds_compile": made, "seconds_solve": seconds_solve, "seconds_run": run}
+            spent, began, seconds_solve = spent + made, now, 0.0
     for sol in found:
         sol.stats |= {"method": chosen, "why": why, **said}
         sol.failed |= "unsolved" in said
@@ -197,7 +199,7 @@ def _picture(
     pixels = min(PIXELS, 1 << max(0, (SAMPLES // spp).bit_length() - 1))
     while pixels > 1 and n < pixels * lanes * threads * 4:
         pixels //= 2
-    edges = borders(world, view)
+    edges = borders(world, view)[: 0 if depths.hide_emitters else None]
     again = (edges + np.arange(1, TAKES + 1, dtype=np.int32)[:, None] * np.int32(n)).ravel()
     total, size = n + len(again), lanes * pixels
     rows = -(-total // size)
@@ -217,7 +219,6 @@ def _picture(
 
     args = world, view, depths, key
     run = program(path.trace_rows, *args, in_rows(pixels_of(0, 1)), np.int32(1), np.int32(0), np.int32(1), field)
-    began = time.perf_counter()
 
     passes = [(a, min(a + PASS, spp)) for a in range(0, spp, PASS)]
     sets = path.SETS if field is None else path.HALVES
@@ -225,12 +226,11 @@ def _picture(
     image, variance = (np.empty((n, plan.channels), np.float32) for _ in range(2))
     sums_again = np.empty((sets, len(again), plan.channels))
     rays = np.zeros(blocks, np.int64)
-    done = 0
+    done = itertools.count(1)
     stop_asked = threading.Event()
 
     def work(block: int) -> None:
         """All samples of a block of pixels, in order, so that sums do not depend on which thread was faster."""
-        nonlocal done
         row, stop = (int(k) for k in starts[block : block + 2])
         numbers, first_of, used = pixels_of(row, stop), row * size, min(stop * size, total) - row * size
         sums = np.zeros(())
@@ -243,9 +243,8 @@ def _picture(
             sums = values if len(passes) == 1 else sums + values.astype(np.float64)
             cast = np.asarray(cast, np.int64).reshape(-1)
             rays[block] += int(cast[:used].sum() if pixels == 1 else cast.sum() * used // ((stop - row) * size))
-            done += 1
             if progress:
-                progress(done / (blocks * len(passes)))
+                progress(next(done) / (blocks * len(passes)))
         own = min(used, max(0, n - first_of))
         image[numbers[:own]], variance[numbers[:own]] = mean_and_variance(sums[:, :own], counts)
         sums_again[:, first_of + own - n : first_of + used - n] = sums[:, own:]
@@ -259,7 +258,6 @@ def _picture(
         raise
     sums_again = sums_again.reshape(sets, TAKES, len(edges), plan.channels).sum(1)
     image[edges], variance[edges] = mean_and_variance(sums_again, counts * TAKES)
-    finished = time.perf_counter()
 
     shape = (height, width, plan.out_channels)
     image, variance = (a.reshape(height, width, -1) for a in (image, variance))
@@ -267,11 +265,11 @@ def _picture(
     stderr = standard_error(variance)
     stats = {
         "samples": total * spp,
+        "lamp_pixels": len(edges),
         "spp": spp,
         "rays": int(rays.sum()),
         "iterations": blocks * len(passes),
         "max_depth": int(depths.max_depth),
-        "seconds_run": finished - began,
         "threads": threads,
         "nonfinite": int((~np.isfinite(image)).sum()),
     }

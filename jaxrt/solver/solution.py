@@ -74,8 +74,9 @@ class Solution:
 
     image: radiance, W·m⁻²·sr⁻¹. stderr: standard error of each value (NaN below two samples a pixel).
     relative_error: √relMSE that the variances of pixels predict.
-    stats: samples, spp, rays, iterations, max_depth, method, why, seconds_compile (making programs), seconds_solve (of
-    a field), seconds_run, threads, nonfinite; with a field also elements, directions, field_iterations, field_bytes.
+    stats: samples, spp, lamp_pixels (taken again), rays, iterations, max_depth, method, why, threads, nonfinite,
+    seconds_compile (making programs), seconds_solve (of a field), seconds_run (the rest); with a field also elements,
+    directions, field_iterations, field_bytes.
     """
 
     image: np.ndarray

@@ -121,6 +121,23 @@ def test_elements_are_smaller_where_light_ends():
     assert size[border].min() < 0.6 * np.median(size[lit])
 
 
+def test_triangles_alone_are_refined():
+    """The last cell of a triangle's grid is outside of it."""
+    quad = lambda z, s: [[-s, -s, z], [s, -s, z], [s, s, z], [-s, s, z]]
+    mesh = lambda name, v, faces, **more: jaxrt.Mesh(
+        vertices=np.array(v, float), faces=np.array(faces), id=name, **more
+    )
+    shapes = [
+        mesh("floor", quad(0.0, 2.0), [[0, 1, 2], [0, 2, 3]]),
+        mesh("lamp", quad(2.0, 0.2), [[0, 2, 1], [0, 3, 2]], emission=1.0),
+        mesh("fin", [[0, -1, 0], [0, 1, 0], [0, 0, 1]], [[0, 1, 2]], bsdf=jaxrt.TwoSided(jaxrt.Diffuse(0.5))),
+    ]
+    scene = jaxrt.Scene.build(shapes, sensors=[camera((0, -9, 1), (0, 0, 0))])
+    elements = jaxrt.elements_of(scene, resolution=400)
+    np.testing.assert_allclose(float(elements.area.sum()), 16.0 + 0.16 + 2.0, rtol=1e-4)
+    assert int((elements.size > 0).sum()) > 500
+
+
 def test_what_reflects_nothing_is_black_and_mirrors_have_no_elements():
     scene = many_kinds()
     world = jax.jit(prepare, static_argnums=1)(scene, jaxrt.plan(scene))
@@ -150,6 +167,14 @@ def test_the_furnace(rho):
     np.testing.assert_allclose(values, want, rtol=1e-4)
     assert field.result == optimistix.RESULTS.successful
     np.testing.assert_allclose(float(field.spectral_radius), rho, rtol=1e-5)
+
+
+@pytest.mark.parametrize("radius", [0.1, 10.0])
+def test_the_furnace_in_a_sphere(radius):
+    ball = jaxrt.Sphere(radius=radius, flip_normals=True, emission=1.0, bsdf=jaxrt.Diffuse(0.5))
+    field = jaxrt.solve(jaxrt.Scene.build([ball]), resolution=100, directions=16, max_depth=-1)
+    values = np.asarray(field.values)[np.asarray(field.elements.size) > 0]
+    np.testing.assert_allclose(values, 1.0, rtol=1e-3)
 
 
 @pytest.mark.parametrize(("rho", "mean"), [(0.5, 1 / 3), (0.9, 5 / 3)])
@@ -238,6 +263,14 @@ def test_pictures_are_those_of_the_path_method(name, depth, request):
     assert abs(off) < 0.01, (z, off)
     values = z_of(by_field.image, np.hypot(by_field.stderr, by_path.stderr) + 0.01 * by_path.image, by_path.image)
     assert np.mean(np.abs(values) < 4.5) > 0.99
+
+
+def test_light_by_way_of_mirrors_is_not_lost(request):
+    """Where paths look at elements themselves, light of lights is left out of them, but not what mirrors send on."""
+    scene = jaxrt.load(request.config.rootpath / "scenes" / "mirror_room.xml", res=32)
+    by_path = jaxrt.render(scene, 512, 2, method="path", max_depth=-1)
+    by_field = [jaxrt.render(scene, 16, seed, method="field", max_depth=-1).image.mean() for seed in range(4)]
+    assert abs(np.mean(by_field) / by_path.image.mean() - 1.0) < 0.015
 
 
 @pytest.mark.parametrize("spp", [4, 24])
