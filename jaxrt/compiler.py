@@ -140,14 +140,15 @@ def _file(f: Callable[..., Any], tree: Any, shapes: Any) -> Path | None:
 def remembered(f: F) -> F:
     """f, which keeps what it gave for as long as its first argument lives: arrays of JAX do not change.
 
-    What comes of the first argument must not hold it. Other arguments are told apart by value, modules by identity.
+    What comes of the first argument must not hold it. Other arguments are told apart by value, modules by identity;
+    and so is the precision that JAX works in.
     """
     kept: dict[int, tuple[Any, dict[Any, Any]]] = {}
     name = lambda a: ("module", id(a)) if isinstance(a, eqx.Module) else a
 
     @functools.wraps(f)
     def call(first: Any, *rest: Any) -> Any:
-        number, key = id(first), tuple(map(name, rest))
+        number, key = id(first), (jax.dtypes.canonicalize_dtype(float), *map(name, rest))
         if number not in kept or kept[number][0]() is not first:
             kept[number] = weakref.ref(first, lambda _: kept.pop(number, None)), {}
         found = kept[number][1]

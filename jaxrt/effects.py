@@ -56,6 +56,11 @@ class Plan:
         return frozenset(name for name, present, _ in self.reasons if present)
 
     @property
+    def storable(self) -> bool:
+        """Whether later processes may have its programs: other searches may call back into Python."""
+        return self.backend == "dense"
+
+    @property
     def lights(self) -> bool:
         return bool(self.light_kinds)
 

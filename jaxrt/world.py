@@ -6,6 +6,7 @@ sampling or the search does not. One row a face is gathered at each hit, and one
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any
 
 import equinox as eqx
@@ -15,11 +16,12 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from .brdf import MaterialColumns
+from .compiler import program, remembered
 from .effects import Plan
 from .effects import plan as make_plan
 from .instances import Instances
 from .intersect import Faces, Search, affine, build_search
-from .scene import KINDS, Scene
+from .scene import KINDS, Scene, Structure, in_working_precision
 
 FACE = {"n": 0, "height": 3, "side": 4, "finish": 5, "density": 6, "u": 7, "v": 11, "extra": 15}
 """Columns of `World.faces`. Of a curved face: n is its centre (or foot), height its radius, u its axis."""
@@ -265,6 +267,13 @@ def prepare(scene: Scene, plan: Plan) -> World:
     )
 
 
+@remembered
+def prepared(scene: Scene, plan: Plan) -> tuple[World, Scene]:
+    """The world of a scene by a compiled `prepare`, and the scene's tables: names and sensors make no other world."""
+    tables = dataclasses.replace(in_working_precision(scene), structure=Structure(), plan=None)
+    return program(prepare, tables, plan, keep=plan.storable)(tables, plan), tables
+
+
 def world_of(scene: Scene | World, plan: Plan | None = None) -> World:
     """The world of a scene under its own plan (made here if it has none) or another; a world as it is."""
     if isinstance(scene, World):
@@ -272,4 +281,4 @@ def world_of(scene: Scene | World, plan: Plan | None = None) -> World:
     return prepare(scene, plan or scene.plan or make_plan(scene))
 
 
-__all__ = ["FACE", "FEW_LIGHTS", "World", "prepare", "world_of"]
+__all__ = ["FACE", "FEW_LIGHTS", "World", "prepare", "prepared", "world_of"]

@@ -432,9 +432,8 @@ def test_kept_programs_run_under_any_name_of_a_scene(run, folder, scene, monkeyp
         for k, path in enumerate((one, two, two)):
             compiler._programs.clear()
             run("render", path, "-o", folder / f"{k}.exr")
-        assert (
-            compiler.folder is not None and len(list(compiler.folder.iterdir())) == 4
-        )  # world, two for lamps' borders, picture
+        assert compiler.folder is not None
+        assert len(list(compiler.folder.iterdir())) == 4  # world, two for lamps' borders, picture
     finally:
         compiler.folder = None
     first, again = (read_exr(folder / f"{k}.exr")[0] for k in (0, 2))

@@ -55,7 +55,7 @@ def interreflection(world: World, scene: Scene) -> float:
         return 0.0
     sides = np.random.default_rng(0).choice(2 * faces, RAYS, p=weight / weight.sum()).astype(np.int32)
     args = world, sides, (weight > 0).astype(np.float32)
-    return float(program(_again, *args, keep=world.plan.backend == "dense")(*args))
+    return float(program(_again, *args, keep=world.plan.storable)(*args))
 
 
 def _again(world: World, sides: Any, diffuse: Any) -> Any:

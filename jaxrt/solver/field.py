@@ -22,7 +22,7 @@ from ..sampling.sobol import Stream, combine, seed_of
 from ..scene import Scene, in_working_precision
 from ..surface import SurfacePoint
 from ..vector import Spectrum, Vec3, where
-from ..world import World, prepare
+from ..world import World, prepare, prepared
 from . import path
 from .elements import Elements, element_of, sampled
 from .equilibrium import SOLVERS, residual_bound, series, solve_links, spectral_radius
@@ -129,9 +129,7 @@ class Field(eqx.Module):
 def elements_of(scene: Scene, plan: Plan | None = None, resolution: int = 4096) -> Elements:
     """About `resolution` elements of a scene, made on the host; under a transformation, make them before it."""
     plan = plan or scene.plan or make_plan(scene)
-    scene = in_working_precision(scene)
-    world = program(prepare, scene, plan, keep=plan.backend == "dense")(scene, plan)
-    return marked(world, scene, resolution)
+    return marked(*prepared(scene, plan), resolution)
 
 
 @remembered
@@ -147,7 +145,7 @@ def marked(world: World, scene: Scene, resolution: int) -> Elements:
         parts = [
             tuple(np.resize(a[k : k + PART], (PART, *a.shape[1:])) for a in pieces) for k in range(0, len(size), PART)
         ]
-        run = program(stood_on, world, *parts[0], keep=_keep(world))
+        run = program(stood_on, world, *parts[0], keep=world.plan.storable)
         return np.concatenate([np.asarray(run(world, *part)) for part in parts])[: len(size)]
 
     elements, owner, cell = partition(world, scene, resolution)
@@ -155,7 +153,7 @@ def marked(world: World, scene: Scene, resolution: int) -> Elements:
     finer = np.where(stands, FINER, 1)
     if world.plan.lights:
         args = world, elements, np.arange(elements.count, dtype=np.int32)
-        light, spread = (np.asarray(a) for a in program(lit, *args, keep=_keep(world))(*args))
+        light, spread = (np.asarray(a) for a in program(lit, *args, keep=world.plan.storable)(*args))
         lost = elements.area * spread * resolution / max(float((elements.area * light).sum()), 1e-30)
         parts = np.exp2(np.ceil(0.5 * np.log2(np.clip(lost / UNEVEN, 1.0, FINER**2))))
         finer = np.maximum(finer, parts.astype(int))
@@ -166,10 +164,6 @@ def marked(world: World, scene: Scene, resolution: int) -> Elements:
         stands = standing(elements)
     size = np.where(stands, np.inf, elements.size)
     return jax.device_put(dataclasses.replace(elements, size=size.astype(elements.size.dtype)))
-
-
-def _keep(world: World) -> bool:
-    return world.plan.backend == "dense"
 
 
 def solve(
@@ -298,13 +292,15 @@ def for_picture(
     parts = threads * -(-count // (threads * PART))  # as many for every thread
     numbers = _rows(count, -(-count // parts))[:, None]
     static = (directions, follow, lengths_of(follow, depth, gathers == 0))
-    run = program(link_rows, world, elements, seed, numbers[0], static=static, keep=_keep(world))
+    run = program(link_rows, world, elements, seed, numbers[0], static=static, keep=world.plan.storable)
     rows = list(pool.map(lambda row: jax.tree.map(np.asarray, run(world, elements, seed, row)), numbers))
     links = jax.tree.map(lambda *a: np.concatenate([b[0] for b in a])[:count], *rows)
     near = np.asarray(min(1.0, spp / NEAR_FROM), elements.size.dtype)
-    args = links, np.int32(0), np.asarray(1e-3, near.dtype)
-    solve_half = program(_half, *args, static=("anderson", depth, gathers == 0))
-    solved = list(pool.map(lambda k: jax.tree.map(np.asarray, solve_half(links, np.int32(k), args[2])), (0, 1)))
+    links, rtol = jax.device_put(links), np.asarray(1e-3, near.dtype)
+    solve_half = program(_half, links, np.int32(0), rtol, static=("anderson", depth, gathers == 0))
+    solved = list(
+        pool.map(lambda k: jax.tree.map(np.asarray, solve_half(links, k, rtol)), np.arange(2, dtype=np.int32))
+    )
     values = jax.device_put(np.stack([values for values, *_ in solved]))
     stored = Stored(elements, values, near, block_of(spp), gathers)
     said: dict[str, Any] = {"elements": count, "directions": directions, "field_iterations": int(solved[0][1])}
@@ -362,10 +358,8 @@ def _error(world: World, stored: Stored, links: Links, seed: Any, depth: int, ch
     count = stored.elements.count
     depths = path.Depths(jnp.int32(depth if depth < 0 else depth - 1), jnp.int32(5), jnp.asarray(False))
     lanes = jnp.asarray(_rows(count)[..., None])
-    probes = _Probes(stored.elements)
-    sums = path.trace_rows(world, probes, depths, combine(seed, 7), lanes, len(lanes), jnp.int32(0), jnp.int32(check))[
-        0
-    ]
+    probes, samples = _Probes(stored.elements), (jnp.int32(0), jnp.int32(check))
+    sums, _ = path.trace_rows(world, probes, depths, combine(seed, 7), lanes, len(lanes), *samples)
     sums = sums.reshape(-1, *sums.shape[3:])[:count]  # (E, sets, C)
     sets = sums.shape[1]
     off = sums * (sets / check) - b[:, None]

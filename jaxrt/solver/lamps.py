@@ -39,11 +39,11 @@ def _asked(f: Any, world: World, view: View, numbers: np.ndarray, size: int) -> 
     if not len(numbers):
         return numbers
     rows = np.resize(numbers, (-(-len(numbers) // size), size))
-    run = program(f, world, view, rows[0], keep=world.plan.backend == "dense")
+    run = program(f, world, view, rows[0], keep=world.plan.storable)
     return numbers[np.concatenate([np.asarray(run(world, view, row)) for row in rows])[: len(numbers)]]
 
 
-def _through_corners(view: View, world: World, number: Any) -> Any:
+def _through_corners(world: World, view: View, number: Any) -> Any:
     """The paths that begin at the corners of a pixel's filter, with a leading axis of 4."""
     corners = jnp.asarray([(0.0, 0.0), (0.0, 1.0), (1.0, 0.0), (1.0, 1.0)], world.faces.dtype)
     return jax.vmap(lambda u: view(world, number, Drawn(((u[0], u[1]), (0.5, 0.5)))))(corners)
@@ -53,7 +53,7 @@ def _near(world: World, view: View, numbers: Any) -> Any:
     """Whether rays through the corners of pixels may meet a lamp."""
 
     def one(number: Any) -> Any:
-        paths = _through_corners(view, world, number)
+        paths = _through_corners(world, view, number)
         return jax.vmap(lambda o, d: emitter.may_meet(world, o, d))(paths.o, paths.d).any()
 
     return jax.vmap(one)(numbers)
@@ -67,7 +67,7 @@ def _differ(world: World, view: View, numbers: Any) -> Any:
         return radiance_of(world, x, -d).array()
 
     def one(number: Any) -> Any:
-        paths = _through_corners(view, world, number)
+        paths = _through_corners(world, view, number)
         seen = jax.vmap(emission)(paths.o, paths.d)
         return (seen != seen[:1]).any()
 

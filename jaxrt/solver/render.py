@@ -20,8 +20,8 @@ from ..effects import Plan
 from ..effects import plan as make_plan
 from ..parts import SceneError
 from ..sampling.sobol import seed_of
-from ..scene import Scene, Structure, in_working_precision
-from ..world import World, prepare
+from ..scene import Scene, in_working_precision
+from ..world import World, prepared
 from . import path
 from .begin import View
 from .choose import choose
@@ -89,21 +89,14 @@ def _tiled(places: np.ndarray, width: int, height: int, side: int = 16) -> np.nd
 
 
 @remembered
-def _specialised(scene: Scene, dtype: Any) -> Plan:
+def _specialised(scene: Scene) -> Plan:
     return make_plan(scene, free=None)
 
 
 @remembered
-def _view(scene: Scene, sensor: int, dtype: Any) -> View:
+def _view(scene: Scene, sensor: int) -> View:
     view = in_working_precision(view_of(scene, sensor))
     return jax.device_put(dataclasses.replace(view, width=np.int32(view.width), height=np.int32(view.height)))
-
-
-@remembered
-def _prepared(scene: Scene, plan: Plan, dtype: Any) -> tuple[World, Scene]:
-    """The world of a scene, and the scene's tables: names and sensors make no other world."""
-    tables = dataclasses.replace(in_working_precision(scene), structure=Structure(), plan=None)
-    return program(prepare, tables, plan, keep=plan.backend == "dense")(tables, plan), tables
 
 
 @overload
@@ -143,9 +136,8 @@ def render(  # pyright: ignore[reportInconsistentOverload]  # options are those 
             raise SceneError(f"{name}: is {value}; give a whole number of at least 1")
     spp = int(spp)
     sensors = [sensor] if isinstance(sensor, (int, np.integer)) else list(sensor)
-    real = jax.dtypes.canonicalize_dtype(float)
-    views, depths = [_view(scene, k, real) for k in sensors], depths_of(scene, max_depth, rr_depth)
-    plan = plan or _specialised(scene, real)
+    views, depths = [_view(scene, k) for k in sensors], depths_of(scene, max_depth, rr_depth)
+    plan = plan or _specialised(scene)
     threads = cores()
     memory = machine_memory() / 4 if memory is None else memory
     chunk = lanes_of(plan) if chunk is None else chunk
@@ -154,7 +146,7 @@ def render(  # pyright: ignore[reportInconsistentOverload]  # options are those 
     # Run-time numbers go in as arrays: paths of other sizes, depths and seeds use the same program.
     depths = path.Depths(np.int32(depths.max_depth), np.int32(depths.rr_depth), np.bool_(depths.hide_emitters))
     key, spent, began = np.asarray(seed_of(seed)), seconds_spent(), time.perf_counter()
-    world, tables = _prepared(scene, plan, real)
+    world, tables = prepared(scene, plan)
     depth, paths = int(depths.max_depth), spp * sum(int(v.width) * int(v.height) for v in views)
     chosen, why = choose(world, tables, depth, paths) if method == "auto" else (method, "asked for")
     field, said, seconds_solve = None, {}, 0.0
@@ -199,11 +191,11 @@ def _picture(
     pixels = min(PIXELS, 1 << max(0, (SAMPLES // spp).bit_length() - 1))
     while pixels > 1 and n < pixels * lanes * threads * 4:
         pixels //= 2
-    edges = borders(world, view)[: 0 if depths.hide_emitters else None]
+    edges = np.zeros(0, np.int32) if depths.hide_emitters else borders(world, view)
     again = (edges + np.arange(1, TAKES + 1, dtype=np.int32)[:, None] * np.int32(n)).ravel()
     total, size = n + len(again), lanes * pixels
     rows = -(-total // size)
-    blocks = max(2 * threads, -(-rows // ROWS if spp < FEW_SAMPLES else -rows))
+    blocks = max(2 * threads, -(-rows // (ROWS if spp < FEW_SAMPLES else 1)))
     starts = np.linspace(0, rows, min(rows, -(-blocks // threads) * threads) + 1).astype(int)
     blocks = len(starts) - 1
 
@@ -233,12 +225,12 @@ def _picture(
         """All samples of a block of pixels, in order, so that sums do not depend on which thread was faster."""
         row, stop = (int(k) for k in starts[block : block + 2])
         numbers, first_of, used = pixels_of(row, stop), row * size, min(stop * size, total) - row * size
-        sums = np.zeros(())
+        sums, lanes_of_block = np.zeros(()), in_rows(numbers)
         for first, last in passes:
             if stop_asked.is_set():
                 return
             counted = np.int32(stop - row), np.int32(first), np.int32(last)
-            values, cast = run(*args, in_rows(numbers), *counted, field)
+            values, cast = run(*args, lanes_of_block, *counted, field)
             values = np.asarray(values)[: stop - row].transpose(3, 0, 2, 1, 4).reshape(sets, len(numbers), -1)[:, :used]
             sums = values if len(passes) == 1 else sums + values.astype(np.float64)
             cast = np.asarray(cast, np.int64).reshape(-1)

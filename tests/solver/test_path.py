@@ -530,9 +530,6 @@ def test_a_scene_that_reflects_nothing():
     """A lamp alone: no bounce is compiled. In a process of its own, for it is one that XLA ends."""
     code = """
 import jaxrt
-from jaxrt.solver.lamps import borders
-from jaxrt.solver.measure import view_of
-from jaxrt.world import prepare
 lamp = jaxrt.Sphere(emission=1.0, bsdf=jaxrt.Diffuse(0.0))
 film = jaxrt.Film(8, 8, "box")
 pose = [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, -1.05], [0, 0, 0, 1]]
