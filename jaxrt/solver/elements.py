@@ -30,7 +30,7 @@ class Elements(eqx.Module):
     element of each cell. An element consists of pieces `first[e]` to `first[e + 1]` − 1; a piece is a rectangle in
     the coordinates of a face: rows of `rectangle` are where it starts, its extents, whether only its lower triangle
     counts, the side (±1) and the corner. `span`: cells of the grid along each side of an element, 0 where it has
-    another shape. `ends`: cumulative areas of pieces, m². `size`: the shorter extent of each
+    another shape. `ends`: cumulative areas of pieces, m². `size`: the longer extent of each
     element (m), infinite where another surface stands on it, 0 for padding and black. `everywhere`: whether so much
     of M emits that light is rather met than sampled.
     """

@@ -34,9 +34,13 @@ from .probe import lit, stood_on
 ROW, PART = 256, 1024
 """Elements that are linked together in one row of lanes; and those of a program, for a picture, at most."""
 
-LINKS, GATHERS, LOOKS, NEAR_FROM = 1 / 8, 4, 16, 1024
+LINKS, GATHERS, LOOKS = 1 / 8, 4, 16
 """For pictures: links of the field for each path; directions that a path looks into; samples a pixel up to which paths
-look at elements themselves; and those from which elements are not looked at from nearer than their size."""
+look at elements themselves."""
+
+NEAR, NEAR_FROM = 4.0, 1024
+"""From within so many times its size an element is not looked at where a pixel takes as many samples as the second
+says, or more; with fewer samples it may be looked at from nearer."""
 
 KEPT = 16
 """Partial sums of the series that a field of finite depth holds, the longest first, then 0 or the shortest."""
@@ -295,7 +299,7 @@ def for_picture(
     run = program(link_rows, world, elements, seed, numbers[0], static=static, keep=world.plan.storable)
     rows = list(pool.map(lambda row: jax.tree.map(np.asarray, run(world, elements, seed, row)), numbers))
     links = jax.tree.map(lambda *a: np.concatenate([b[0] for b in a])[:count], *rows)
-    near = np.asarray(min(1.0, spp / NEAR_FROM), elements.size.dtype)
+    near = np.asarray(NEAR * min(1.0, spp / NEAR_FROM), elements.size.dtype)
     links, rtol = jax.device_put(links), np.asarray(1e-3, near.dtype)
     solve_half = program(_half, links, np.int32(0), rtol, static=("anderson", depth, gathers == 0))
     solved = list(

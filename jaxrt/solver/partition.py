@@ -117,7 +117,7 @@ class _Cells:
 
 
 def _pieces(sides: _Sides, cells: _Cells, area: np.ndarray, faces: int) -> tuple[np.ndarray, ...]:
-    """Pieces, row by row in each cell: cell, row of `Elements.rectangle`, area and shorter extent of each."""
+    """Pieces, row by row in each cell: cell, row of `Elements.rectangle`, area and longer extent of each."""
     cell = np.repeat(np.arange(len(cells.side)), np.diff(cells.before))
     within, k, half = np.arange(cells.before[-1]) - cells.before[cell], cells.level[cell], cells.half[cell]
     a = np.where(half, _row_of_triangle(within, k), within // k)
@@ -129,8 +129,8 @@ def _pieces(sides: _Sides, cells: _Cells, area: np.ndarray, faces: int) -> tuple
     front = np.where(sides.number[s] < faces, 1.0, -1.0)
     rectangle = np.stack([start_u, start_v, *extent, cut, front, sides.corner[s]], -1)
     share = extent[0] * extent[1] * np.where(sides.triangle[s], 2.0, 1.0) * np.where(cut, 0.5, 1.0)
-    shorter = np.minimum(extent[0] * sides.legs[0][s], extent[1] * sides.legs[1][s])
-    return cell, rectangle, area[sides.face[s]] * share, shorter
+    longer = np.maximum(extent[0] * sides.legs[0][s], extent[1] * sides.legs[1][s])
+    return cell, rectangle, area[sides.face[s]] * share, longer
 
 
 def _grids(sides: _Sides, cells: _Cells, most: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -160,7 +160,7 @@ def partition(
     sides = _Sides.of(world, np.flatnonzero(diffuse & np.tile(area > 0, 2)), area, resolution)
     clustered = bool(sides.small.sum() > resolution / 2)
     cells = _Cells.of(sides, levels, clustered)
-    cell, rectangle, piece_area, shorter = _pieces(sides, cells, area, faces)
+    cell, rectangle, piece_area, longer = _pieces(sides, cells, area, faces)
     s = cells.side[cell]
 
     # Elements: a piece each, but small faces of one shape that lie together and look the same way share one.
@@ -186,7 +186,7 @@ def partition(
     first = np.full(total + 1, len(cell) + 1)
     first[:real] = np.concatenate([[0], 1 + np.concatenate([[0], np.cumsum(members)[:-1]])])[:real]
     areas = np.bincount(element, piece_area, len(members)) if len(element) else np.zeros(0)
-    size = np.sqrt(areas) if clustered else shorter
+    size = np.sqrt(areas) if clustered else longer
     emits = np.any(np.asarray(world.finishes)[:, -world.plan.channels :] > 0, axis=-1)
     emits = emits[np.asarray(world.faces)[:faces, FACE["finish"]].astype(int)] & (area > 0)
     everywhere = bool(area[emits].sum() > EVERYWHERE * area.sum())
