@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from .sampling.warp import CORNERS, FAINTEST
 from .scene import Scene
 
 
@@ -45,10 +46,12 @@ def _compare(surfaces: np.ndarray, lamps: np.ndarray, four: np.ndarray) -> bool:
     def chosen(rows: np.ndarray, n: int = 256) -> np.ndarray:
         return random.choice(len(rows), n, p=size(rows) / size(rows).sum())
 
-    def points(rows: np.ndarray, n: int, triangle: np.ndarray) -> np.ndarray:
-        uv = random.uniform(size=(2, len(rows), n))
-        f, g = np.where(triangle[:, None] & (uv.sum(0) > 1), 1 - uv, uv)[..., None]
-        return rows[:, None, :3] + f * rows[:, None, 3:6] + g * rows[:, None, 6:9]
+    def places(n: int, triangle: np.ndarray) -> np.ndarray:
+        uv = random.uniform(size=(2, len(triangle), n))
+        return np.where(triangle[:, None] & (uv.sum(0) > 1), 1 - uv, uv)
+
+    def points(rows: np.ndarray, uv: np.ndarray) -> np.ndarray:
+        return rows[:, None, :3] + uv[0][..., None] * rows[:, None, 3:6] + uv[1][..., None] * rows[:, None, 6:9]
 
     def cosines(to: np.ndarray, rows: np.ndarray) -> np.ndarray:
         n = np.cross(rows[:, 3:6], rows[:, 6:9])[:, None]
@@ -58,10 +61,21 @@ def _compare(surfaces: np.ndarray, lamps: np.ndarray, four: np.ndarray) -> bool:
         return False
     of_lamp = chosen(lamps)
     surface, lamp, four = surfaces[chosen(surfaces)], lamps[of_lamp], four[of_lamp]
-    to = points(lamp, 16, ~four) - points(surface, 1, np.ones(len(surface), bool))
+    x, uv = points(surface, places(1, np.ones(len(surface), bool))), places(16, ~four)
+    to = points(lamp, uv) - x
     area = size(lamp) * np.where(four, 1.0, 0.5)
     g = area[:, None] * np.maximum(-cosines(to, lamp), 0.0) / np.maximum((to**2).sum(-1), 1e-30)
     c = np.abs(cosines(to, surface))
     signal = (g * c).mean(-1) ** 2
-    by_area, by_solid_angle = (g * g * c * c).mean(-1) - signal, g.mean(-1) * (g * c * c).mean(-1) - signal
+    corners = np.where(four[:, None], *(np.array(CORNERS[k]).T[:, None] for k in ("parallelogram", "triangle")))
+    toward = points(lamp, corners) - x
+    light = np.abs(cosines(toward, surface)) / np.maximum((toward**2).sum(-1), 1e-30) ** 1.5
+    light = FAINTEST + (1.0 - FAINTEST) * light / np.maximum(light.mean(-1, keepdims=True), 1e-30)
+    low = uv[0] < uv[1]  # the square that a triangle is sampled from is folded along its diagonal
+    folded = np.where(low, 2 * uv[0], uv.sum(0)), np.where(low, uv.sum(0), 2 * uv[1])
+    a, b = (np.where(four[:, None], v, w) for v, w in zip(uv, folded, strict=True))
+    w00, w10, w01, w11 = light.T[..., None]
+    drawn = (1 - b) * ((1 - a) * w00 + a * w10) + b * ((1 - a) * w01 + a * w11)
+    by_area = (g * g * c * c / drawn).mean(-1) - signal
+    by_solid_angle = g.mean(-1) * (g * c * c).mean(-1) - signal
     return bool((by_area - by_solid_angle).sum() > 0.1 * signal.sum())

@@ -26,7 +26,8 @@ from .world import World, world_of
 
 
 class Node(eqx.Module):
-    """A direction ω_i in the world, its weight f_r cosθ / pdf, its density (sr⁻¹), whether it is a delta's."""
+    """A direction ω_i in the world, its weight f_r cosθ over the density that it was drawn with, that density (sr⁻¹) as
+    weights against other ways to draw it take it, whether it is a delta's."""
 
     w: Vec3
     weight: Spectrum
@@ -76,10 +77,10 @@ def reflection_node(world: World, at: Shading, s: Stream | Drawn, pair: int = 0)
 
 def light_node(world: World, x: SurfacePoint, at: Shading, s: Stream | Drawn, pair: int = 1) -> tuple[Node, Any]:
     """A direction drawn towards a light, and the light sample behind it. Uses pairs `pair` and `pair + 1`."""
-    light = emitter.sample(world, x.position, s, pair)
+    light = emitter.sample(world, x.position, s, pair, at.frame.n * at.side)
     ok = light.pdf > 0
     weight = reflected(world, at, light.w) * jnp.where(ok, light.jacobian / jnp.where(ok, light.pdf, 1.0), 0.0)
-    return Node(light.w, weight, light.pdf, ok & False, s), light
+    return Node(light.w, weight, light.known, ok & False, s), light
 
 
 def _nodes(n: int, one: Any, s: Stream) -> Any:

@@ -1,8 +1,8 @@
 """Area lights: a face is chosen by power, then a direction towards it.
 
 Spheres are sampled by the cone that they subtend, triangles and parallelograms by their solid angle where the
-plan says that it pays, all else by area. Densities are over solid angle at the lit point; sampling and
-densities are held fixed under differentiation.
+plan says that it pays, all else by area; flat ones more densely towards the corners that light the point more.
+Densities are over solid angle at the lit point; sampling and densities are held fixed under differentiation.
 """
 
 from __future__ import annotations
@@ -25,12 +25,17 @@ from . import spherical
 
 
 class LightSample(eqx.Module):
-    """Direction from the lit point, distance (m), emitted radiance towards it, density (sr⁻¹), the face."""
+    """Direction from the lit point, distance (m), emitted radiance towards it, density (sr⁻¹), the face.
+
+    `known`: the density as `density` gives it, which does not know how the lit surface is turned. Weights against
+    reflection have to use this one on both sides; any will do there, as long as it is the same.
+    """
 
     w: Vec3
     distance: Any
     radiance: Spectrum
     pdf: Any
+    known: Any
     face: Any
     jacobian: Any  # 1; carries derivatives, see gradient.material
     hidden: Any  # whether the light's own face lies before it: the near side of a tube that shines inwards
@@ -93,41 +98,58 @@ def _behind_own_side(x: Vec3, w: Vec3, distance: Any, cos: Any, row: Any, epsilo
     return (t > 8.0 * epsilon) & (height >= 0) & (height <= 1)
 
 
-FLAT_WARPS = {"triangle": warp.uniform_triangle, "parallelogram": lambda u: u, "disk": warp.uniform_disk}
+def leaning(to: Vec3, e1: Vec3, e2: Vec3, n: Vec3, kind: str, u: tuple[Any, Any]) -> tuple[tuple[Any, Any], Any]:
+    """u moved to where more light comes from, on a flat face that starts at `to` from a point with normal n, and the
+    density of that: bilinear between cosθ/r⁴, to which light goes from a place in the face's plane, at four of them."""
+
+    def light(f: float, g: float) -> Any:
+        at = to + e1 * f + e2 * g
+        d2 = dot(at, at)
+        return jnp.maximum(dot(n, at), 0.0) / jnp.maximum(d2 * d2, 1e-30)
+
+    corners = [light(*at) for at in warp.CORNERS[kind]]
+    total = sum(corners)
+    scale = jnp.where(total > 0, 4.0 / jnp.where(total > 0, total, 1.0), 0.0)
+    least = jnp.where(total > 0, warp.FAINTEST, 1.0)
+    a, b, c, d = (least + (1.0 - least) * scale * corner for corner in corners)
+    return warp.bilinear(u, (a, b, c, d))
 
 
-def sample(world: World, x: Vec3, s: Stream | Drawn, pair: int) -> LightSample:
-    """A direction from x to a light. Uses the pairs `pair` and, to choose among several lights, `pair + 1`."""
+def sample(world: World, x: Vec3, s: Stream | Drawn, pair: int, n: Vec3 | None = None) -> LightSample:
+    """A direction from x, where the normal is n if that is known, to a light. Uses the pairs `pair` and, to choose
+    among several lights, `pair + 1`."""
     plan = world.plan
     u = s.pair_at(pair)
     index = _choose(world, s.pair_at(pair + 1)[0])[0] if plan.many_lights else 0
     row = _row(world.light_rows, index)
     face = row[14 + plan.channels].astype(jnp.int32)
     moving, attached = x, row
-    x, fixed = jax.lax.stop_gradient((x, [row[k] for k in range(14)]))
+    x, fixed, n = jax.lax.stop_gradient((x, [row[k] for k in range(14)], n))
     front, density, chance = _vec(fixed, 9), fixed[12], fixed[13]
     found = None
     for kind in plan.light_kinds:
         if kind == "sphere":
-            n, cone = _sphere_normal(x, fixed, u)
-            radius = safe_sqrt(dot(_vec(attached, 3), _vec(attached, 3)))
-            one = (_vec(attached, 0) + n * radius, n * _row(world.faces, face)[FACE["side"]], n * radius * radius, cone)
+            up, cone = _sphere_normal(x, fixed, u)
+            radius, side = safe_sqrt(dot(_vec(attached, 3), _vec(attached, 3))), _row(world.faces, face)[FACE["side"]]
+            one = (_vec(attached, 0) + up * radius, up * side, up * radius * radius, cone, 0.0 * u[0] + 1.0)
         elif kind == "cylinder":
-            n = _cylinder_normal(attached, u)
+            up, side = _cylinder_normal(attached, u), _row(world.faces, face)[FACE["side"]]
             axis, radius = _vec(attached, 3), safe_sqrt(dot(_vec(attached, 6), _vec(attached, 6)))
-            y, area = _vec(attached, 0) + axis * u[0] + n * radius, n * (radius * safe_sqrt(dot(axis, axis)))
-            one = (y, n * _row(world.faces, face)[FACE["side"]], area, 0.0 * u[0])
+            y, area = _vec(attached, 0) + axis * u[0] + up * radius, up * (radius * safe_sqrt(dot(axis, axis)))
+            one = (y, up * side, area, 0.0 * u[0], 0.0 * u[0] + 1.0)
         else:
             e1, e2 = _vec(attached, 3), _vec(attached, 6)
-            uv, cone = FLAT_WARPS[kind](u), 0.0 * u[0]
+            o, f1, f2 = (_vec(fixed, k) for k in (0, 3, 6))
+            moved, more = (u, 0.0 * u[0] + 1.0) if n is None else leaning(o - x, f1, f2, n, kind, u)
+            uv, cone = warp.FLAT[kind](moved), 0.0 * u[0]
             if plan.solid_angle and kind != "disk":
                 four = kind == "parallelogram"
-                f, g, cone = spherical.sample(x, _vec(fixed, 0), _vec(fixed, 3), _vec(fixed, 6), four, u)
-                uv = (jnp.where(cone > 0, f, uv[0]), jnp.where(cone > 0, g, uv[1]))
-            one = (_vec(attached, 0) + e1 * uv[0] + e2 * uv[1], front, cross(e1, e2), cone)
+                f, g, cone = spherical.sample(x, o, f1, f2, four, u)
+                uv, more = where(cone > 0, ((f, g), 0.0 * more + 1.0), (uv, more))
+            one = (_vec(attached, 0) + e1 * uv[0] + e2 * uv[1], front, cross(e1, e2), cone, more)
         found = one if found is None else where(face >= world.first(kind), one, found)
     assert found is not None
-    y, normal, area, cone = found
+    y, normal, area, cone, more = found
     w, jacobian = towards(moving, y, area)
     y, fixed_w, normal = jax.lax.stop_gradient((y, w, normal))
     to = y - x
@@ -141,7 +163,8 @@ def sample(world: World, x: Vec3, s: Stream | Drawn, pair: int) -> LightSample:
     if "cylinder" in plan.light_kinds:
         inwards = (face >= world.first("cylinder")) & (_row(world.faces, face)[FACE["side"]] < 0)
         hidden = inwards & _behind_own_side(x, fixed_w, distance, cos, fixed, world.epsilon)
-    return LightSample(w, distance, radiance, jnp.where(lit, pdf, 0.0), face, jacobian, hidden)
+    known = jnp.where(lit, pdf, 0.0)
+    return LightSample(w, distance, radiance, known * more, known, face, jacobian, hidden)
 
 
 def may_meet(world: World, o: Vec3, w: Vec3) -> Any:

@@ -54,8 +54,35 @@ def uniform_triangle(u: tuple[Any, Any]) -> tuple[Any, Any]:
     return jnp.where(low, d, a - d), jnp.where(low, b - d, d)
 
 
+def _linear(u: Any, a: Any, b: Any) -> Any:
+    """A point of [0, 1] with a density that goes linearly from a to b, both positive."""
+    return jnp.minimum(u * (a + b) / (a + jnp.sqrt(a * a + u * (b * b - a * a))), 1.0 - 2.0**-24)
+
+
+def bilinear(u: tuple[Any, Any], corners: tuple[Any, Any, Any, Any]) -> tuple[tuple[Any, Any], Any]:
+    """A point of the unit square and its density, which is bilinear between positive values at (0, 0), (1, 0), (0, 1)
+    and (1, 1)."""
+    a, b, c, d = corners
+    v = _linear(u[1], a + b, c + d)
+    low, high = a + (c - a) * v, b + (d - b) * v
+    w = _linear(u[0], low, high)
+    return (w, v), 4.0 * (low + (high - low) * w) / (a + b + c + d)
+
+
 def uniform_cone(u: tuple[Any, Any], one_minus_cos: Any) -> Vec3:
     """A direction around +z within a cap, density 1/(2π(1 − cosθ)); takes 1 − cosθ so that small cones are exact."""
     height, (c, s) = u[0] * one_minus_cos, circle(u[1])
     r = safe_sqrt(height * (2.0 - height))
     return Vec3(r * c, r * s, 1.0 - height)
+
+
+FLAT = {"triangle": uniform_triangle, "parallelogram": lambda u: u, "disk": uniform_disk}
+CORNERS = {
+    "triangle": ((0.0, 0.0), (1.0, 0.0), (0.0, 1.0), (0.5, 0.5)),
+    "parallelogram": ((0.0, 0.0), (1.0, 0.0), (0.0, 1.0), (1.0, 1.0)),
+    "disk": tuple((a * 0.5**0.5, b * 0.5**0.5) for b in (-1.0, 1.0) for a in (-1.0, 1.0)),
+}
+"""Maps of the unit square onto flat faces, evenly, and where they take (0, 0), (1, 0), (0, 1) and (1, 1)."""
+
+FAINTEST = 0.05
+"""Of the density where a flat lamp is sampled evenly, what is left to its corners that light a point least."""

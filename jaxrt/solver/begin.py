@@ -72,10 +72,10 @@ class Meters(eqx.Module):
         begun = replace(begun, beta=beta, pdf=sg(cos) / np.pi, delta=begun.delta & False)
         if not world.plan.lights:
             return begun
-        light = emitter.sample(world, at, s.child(3), 1)
+        light = emitter.sample(world, at, s.child(3), 1, frame.n)
         cos = dot(frame.n, light.w)
         ok = (light.pdf > 0) & (cos > 0)
         ok = ok & ~hidden(world, at, light, ok)
-        share = sg(balance(light.pdf, jnp.maximum(cos, 0.0) / np.pi))
+        share = sg(balance(light.known, jnp.maximum(cos, 0.0) / np.pi))
         scale = jnp.where(ok, cos * light.jacobian * share / jnp.where(ok, light.pdf, 1.0), 0.0)
         return replace(begun, radiance=light.radiance * scale)

@@ -106,6 +106,26 @@ def test_uniform_triangle():
     assert chi_squared(inside, np.full(64, N / 64)) > 1e-3
 
 
+@pytest.mark.parametrize("corners", [(1.0, 1.0, 1.0, 1.0), (0.05, 2.0, 1.0, 0.95), (0.05, 0.05, 0.05, 3.85)])
+def test_bilinear(corners):
+    """Counts in 64 boxes, whose middles give the mean density of each; and the density that comes with a point."""
+    at = lambda x, y: (
+        np.array([(1 - x) * (1 - y), x * (1 - y), (1 - x) * y, x * y]).T @ np.array(corners) / np.mean(corners)
+    )
+    p = warped(lambda u: (lambda place, density: (*place, density))(*warp.bilinear(u, tuple(map(np.float32, corners)))))
+    assert p[:, :2].min() >= 0 and p[:, :2].max() < 1
+    np.testing.assert_allclose(p[:, 2], at(p[:, 0], p[:, 1]), rtol=1e-4)
+    counts = np.histogram2d(p[:, 0], p[:, 1], 8, range=[[0, 1], [0, 1]])[0]
+    middle = (np.arange(8) + 0.5) / 8
+    assert chi_squared(counts, np.stack([at(x, middle) for x in middle]) * N / 64) > 1e-3
+
+
+@pytest.mark.parametrize("kind", ["triangle", "parallelogram", "disk"])
+def test_corners_of_flat_faces(kind):
+    u = np.array([(0, 0), (1, 0), (0, 1), (1, 1)], np.float32)
+    np.testing.assert_allclose(np.stack(warp.FLAT[kind]((u[:, 0], u[:, 1])), -1), warp.CORNERS[kind], atol=1e-6)
+
+
 @pytest.mark.parametrize("f", [warp.cosine_hemisphere, warp.uniform_sphere, warp.uniform_disk, warp.uniform_triangle])
 def test_warps_keep_sobol_points_evenly_spread(f):
     """The mean of 1024 stratified points is far nearer to the truth than random points' would be."""
