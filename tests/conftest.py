@@ -7,6 +7,8 @@ import hypothesis
 import jax
 import pytest
 
+from jaxrt.intersect import dense
+
 jax.config.update("jax_numpy_rank_promotion", "raise")
 hypothesis.settings.register_profile(
     "jaxrt", deadline=None, derandomize=True, suppress_health_check=[hypothesis.HealthCheck.too_slow]
@@ -19,6 +21,12 @@ def getkey() -> Callable[[], jax.Array]:
     """A function that gives another key each time it is called, and the same ones in every run."""
     counter = itertools.count()
     return lambda: jax.random.key(next(counter))
+
+
+@pytest.fixture
+def short_loops(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Searches of one face at a time: programs compile twice as fast. For tests that are not about the search."""
+    monkeypatch.setattr(dense, "UNROLL", 1)
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

@@ -16,6 +16,8 @@ from jaxrt.sampling.sobol import Stream
 from jaxrt.vector import Spectrum, Vec3, dot
 from jaxrt.world import prepare
 
+pytestmark = pytest.mark.usefixtures("short_loops")
+
 RHO = {"floor": 0.7, "ceiling": 0.3, "left": 0.5, "right": 0.2, "back": 0.6}
 
 
@@ -475,9 +477,14 @@ def test_direct_light_is_differentiated_in_one_form():
 
 
 def test_a_ray_may_be_asked_for_what_hides_a_point():
-    psi = jaxrt.psi(furnace())
-    far = psi([0, 0, 0], [0, 0, 1]).distance
-    assert not psi.occluded([0, 0, 0], [0, 0, 1], 0.9 * far) and psi.occluded([0, 0, 0], [0, 0, 1], 1.1 * far)
-    face = psi([0, 0, 0], [0, 0, 1]).face
-    assert not psi.occluded([0, 0, 0], [0, 0, 1], 1.1 * far, exclude=face)
-    assert psi([0, 0, 0], [0, 0, 1], exclude=jnp.asarray([face, 77])).face != face
+    @jax.jit
+    def answers(scene):
+        psi, o, up = jaxrt.psi(scene), [0, 0, 0], [0, 0, 1]
+        x = psi(o, up)
+        hidden = [psi.occluded(o, up, factor * x.distance) for factor in (0.9, 1.1)]
+        hidden.append(psi.occluded(o, up, 1.1 * x.distance, exclude=x.face))
+        return hidden, x.face, psi(o, up, exclude=jnp.asarray([x.face, 77])).face
+
+    hidden, face, behind = answers(furnace())
+    assert [bool(h) for h in hidden] == [False, True, False]
+    assert behind != face

@@ -9,6 +9,8 @@ import jaxrt
 from jaxrt import compiler
 from jaxrt.build import bucket
 
+pytestmark = pytest.mark.usefixtures("short_loops")
+
 
 def scene(n=1, **more):
     mesh = jaxrt.Mesh(id="tri", vertices=[[0, 0, 0], [1, 0, 0], [0, 1, 0]], faces=[[0, 1, 2]] * n)

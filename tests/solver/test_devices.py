@@ -8,6 +8,7 @@ import jax
 import numpy as np
 
 import jaxrt
+from jaxrt.intersect import dense
 from jaxrt.solver import measure
 
 SIZE = 24  # two rows of lanes, the second one filled up
@@ -21,19 +22,19 @@ def picture_and_gradient():
     pose[2, 3] = 1.5
     sensor = jaxrt.Sensor(to_world=pose, film=jaxrt.Film(SIZE, SIZE, "box"))
     scene = jaxrt.Scene.build([floor, jaxrt.Rectangle(to_world=lamp, emission=1.0)], sensors=[sensor])
-    plan = jaxrt.plan(scene)
+    plan = jaxrt.plan(scene, light_sampling=False)
 
     def image(r):
         return jaxrt.measure(jaxrt.with_params(scene, {"floor.reflectance": r}), 1, plan=plan, spp=4, max_depth=3)
 
-    measure.WIDE = measure.LANES
+    measure.WIDE, dense.UNROLL = measure.LANES, 1
     weights = np.linspace(0.0, 1.0, SIZE * SIZE).reshape(SIZE, SIZE, 1)
     r = jaxrt.params(scene)["floor.reflectance"]
     field = jaxrt.solve(scene, 1, plan=plan, resolution=600, directions=16)  # three rows of elements
     return jax.jit(image)(r), jax.jit(jax.grad(lambda r: (weights * image(r)).mean()))(r), field.values
 
 
-def test_two_devices_give_what_one_gives(tmp_path, monkeypatch):
+def test_two_devices_give_what_one_gives(tmp_path, monkeypatch, short_loops):
     monkeypatch.setattr(measure, "WIDE", measure.WIDE)
     one = picture_and_gradient()
     script = f"""

@@ -21,6 +21,8 @@ from jaxrt.solver.partition import partition
 from jaxrt.surface import surface_point
 from jaxrt.world import prepare
 
+pytestmark = pytest.mark.usefixtures("short_loops")
+
 SMALL = {"resolution": 400, "directions": 64, "max_depth": -1}
 
 
@@ -273,11 +275,17 @@ def test_light_by_way_of_mirrors_is_not_lost(request):
     assert abs(np.mean(by_field) / by_path.image.mean() - 1.0) < 0.015
 
 
+@functools.cache
+def cornell_box(scenes):
+    """The scene, and a picture of it with little noise."""
+    scene = jaxrt.load(scenes / "cornell_box.xml", res=48)
+    return scene, jaxrt.render(scene, 4096, 2, method="path")
+
+
 @pytest.mark.parametrize("spp", [4, 24])
 def test_pictures_claim_what_they_are_wrong(spp, request):
     """Paths that look at elements themselves (4), and at what a bounce finds (24)."""
-    scene = jaxrt.load(request.config.rootpath / "scenes" / "cornell_box.xml", res=48)
-    truth = jaxrt.render(scene, 4096, 2, method="path")
+    scene, truth = cornell_box(request.config.rootpath / "scenes")
 
     def off(method):
         """√relMSE of two pictures over what they claim."""

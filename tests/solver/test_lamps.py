@@ -4,13 +4,11 @@ import functools
 
 import jax
 import numpy as np
-from helpers import look_at
+from helpers import look_at, world_of
 
 import jaxrt
-from jaxrt.effects import plan
 from jaxrt.solver.lamps import TAKES, borders
 from jaxrt.solver.measure import view_of
-from jaxrt.world import prepare
 
 SIZE, RADIANCE = 16, 3.0
 LOW, HIGH = np.array([-0.43, -0.71]), np.array([0.52, 0.29])
@@ -40,9 +38,8 @@ def covered():
 
 
 def test_pixels_with_a_border_are_found():
-    world = prepare(scene(), plan(scene()))
     view = jax.tree.map(np.asarray, view_of(scene(), 0))
-    numbers = borders(world, view)
+    numbers = borders(world_of(scene()), view)
     partly = (covered() > 1e-6) & (covered() < 1 - 1e-6)
     assert partly.sum() > 20
     np.testing.assert_array_equal(np.sort(numbers), np.flatnonzero(partly))
