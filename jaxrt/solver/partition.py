@@ -25,8 +25,8 @@ def spaced(t: np.ndarray) -> np.ndarray:
 
 
 def bucket(n: int) -> int:
-    """The least size of a few (four an octave) that holds n."""
-    step = 1 << max(int(n - 1).bit_length() - 3, 3)
+    """The least size of a few (eight an octave) that holds n."""
+    step = 1 << max(int(n - 1).bit_length() - 4, 3)
     return -(-n // step) * step
 
 

@@ -253,8 +253,9 @@ def _picture(
 
     shape = (height, width, plan.out_channels)
     image, variance = (a.reshape(height, width, -1) for a in (image, variance))
-    error = predicted_error(image, variance)
-    stderr = standard_error(variance)
+    known = np.count_nonzero(counts) > 1  # one sample alone says nothing of its error
+    error = predicted_error(image, variance) if known else float("nan")
+    stderr = standard_error(variance) if known else variance
     stats = {
         "samples": total * spp,
         "lamp_pixels": len(edges),
