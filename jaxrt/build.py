@@ -9,13 +9,11 @@ from typing import Any
 import jax
 import numpy as np
 
-from .brdf import LOBES, MaterialColumns
+from .brdf import LOBES, SPECTRA, MaterialColumns
 from .effects import plan
 from .parts import (
-    Conductor,
     Cube,
     Cylinder,
-    Diffuse,
     Disk,
     Enclosure,
     Group,
@@ -105,32 +103,22 @@ def _material_rows(shapes: Sequence[Shape], channels: int, names: _Names) -> tup
         outer = shape.bsdf
         if id(outer) in index:
             continue
-        inner = outer.bsdf if isinstance(outer, TwoSided) else outer
+        inner: Any = outer.bsdf if isinstance(outer, TwoSided) else outer
         name = names.part(outer.id or inner.id or (f"{shape.id}.bsdf" if shape.id else "bsdf"))
         row = len(rows)
         index[id(outer)] = row
-        sides = isinstance(outer, TwoSided)
-
-        def slot(key: str, field: str, one: bool = False, name: str = name, row: int = row) -> None:
-            names.add(f"{name}.{key}", "materials", row, columns[field], one)
-
-        if isinstance(inner, Diffuse):
-            spread = _spread(inner.reflectance, channels, f"{name}.reflectance")
-            rows.append(columns.row(LOBES["diffuse"].number, sides, reflectance=spread))
-            slot("reflectance", "reflectance")
-        elif isinstance(inner, Conductor):
-            rough = bool(inner.alpha.max() >= 1e-3)  # below, float32 cannot resolve the lobe (oracles, GGX furnace)
-            lobe = LOBES["ggx" if rough else "mirror"].number
-            values = {k: _spread(getattr(inner, k), channels, f"{name}.{k}") for k in ("eta", "k")}
-            values["reflectance"] = _spread(inner.specular_reflectance, channels, f"{name}.specular_reflectance")
-            rows.append(columns.row(lobe, sides, alpha=np.maximum(inner.alpha, 1e-3) if rough else 1.0, **values))
-            slot("specular_reflectance", "reflectance")
-            slot("eta", "eta")
-            slot("k", "k")
-            if rough:
-                slot("alpha", "alpha", one=bool(inner.alpha[0] == inner.alpha[1]))
-        else:
+        if not hasattr(inner, "row"):
             raise SceneError(f"{name}: {type(inner).__name__} is not a reflectance that jaxrt knows")
+        lobe, fields, parameters = inner.row()
+        shown = {field: key for key, field in parameters.items()}
+        fields = {
+            f: _spread(v, channels, f"{name}.{shown.get(f, f)}") if f in SPECTRA else v for f, v in fields.items()
+        }
+        rows.append(columns.row(LOBES[lobe].number, isinstance(outer, TwoSided), **fields))
+        for key, field in parameters.items():
+            names.add(
+                f"{name}.{key}", "materials", row, columns[field], field not in SPECTRA and np.ptp(fields[field]) == 0
+            )
     return np.array(rows), index
 
 
@@ -316,5 +304,5 @@ _LOCAL = {
 
 def _spectra(shape: Shape) -> list[np.ndarray]:
     bsdf: Any = shape.bsdf.bsdf if isinstance(shape.bsdf, TwoSided) else shape.bsdf
-    found = [getattr(bsdf, k) for k in ("reflectance", "eta", "k", "specular_reflectance") if hasattr(bsdf, k)]
+    found = [v for k, v in bsdf.row().fields.items() if k in SPECTRA] if hasattr(bsdf, "row") else []
     return found + ([shape.emission] if shape.emission is not None else [])

@@ -15,7 +15,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from .brdf import LOBES, MaterialColumns
+from .brdf import ALBEDOS, LOBES, SPECTRA, MaterialColumns
 from .intersect import BACKENDS, choose, refusal
 from .near_lamps import solid_angle_pays
 from .parts import SceneError
@@ -104,7 +104,7 @@ def _grey(view: _View) -> bool:
         return True
     if not (view.fixed("materials") and view.fixed("radiance")):
         return False
-    spectra = [view.field(f) for f in ("reflectance", "eta", "k")] + [view.array["radiance"]]
+    spectra = [view.field(f) for f in SPECTRA] + [view.array["radiance"]]
     same = all(bool((s == s[:, :1]).all()) for s in spectra)
     if same:
         view.assumes.append(("*", "every spectrum is grey"))
@@ -126,7 +126,8 @@ def plan(scene: Scene, free: str | Iterable[str] | None = (), *, backend: str | 
     lobes = tuple(name for name, lobe in LOBES.items() if lobe.number in numbers) or ("diffuse",)
     sided = view.field("twosided")[:, 0] > 0.5
     twosided = "all" if sided.size and sided.all() else "some" if sided.any() else "none"
-    alpha = view.field("alpha")[view.field("lobe")[:, 0].astype(int) == LOBES["ggx"].number]
+    rough = [lobe.number for lobe in LOBES.values() if "alpha" in lobe.fields]
+    alpha = view.field("alpha")[np.isin(view.field("lobe")[:, 0].astype(int), rough)]
     anisotropic = bool((alpha[:, 0] != alpha[:, 1]).any())
     grey = _grey(view)
 
@@ -137,10 +138,9 @@ def plan(scene: Scene, free: str | Iterable[str] | None = (), *, backend: str | 
     kinds_of_lights = {KINDS[k] for k in np.searchsorted(np.cumsum(scene.blocks), lights, side="right")}
     if any(r > 1 for r in dark):
         view.assumes.append(("*.radiance", "emitters of radiance 0 stay dark"))
-    albedo = view.field("reflectance")
-    bounces = bool(albedo.any()) or not view.fixed("materials")
+    bounces = any(view.field(f).any() for f in ALBEDOS) or not view.fixed("materials")
     if not bounces:
-        view.assumes.append(("*.reflectance", "every reflectance stays 0"))
+        view.assumes.append(("*.*reflectance", "every reflectance stays 0"))
     smooth = bool(np.abs(view.normals).any())
     enclosure = 1 not in dark
     chosen: dict[str, Any] = {

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from .brdf import MaterialColumns
+from .brdf import SPECTRA, MaterialColumns
 from .compiler import program, remembered
 from .effects import Plan
 from .effects import plan as make_plan
@@ -237,7 +237,7 @@ def prepare(scene: Scene, plan: Plan) -> World:
     table = MaterialColumns(scene.channels)
     columns = [j for f in plan.fields for j in range(*table[f])]
     if plan.channels == 1:
-        columns = [j for f in plan.fields for j in range(*table[f])[: 2 if f == "alpha" else 1]]
+        columns = [j for f in plan.fields for j in range(*table[f])[: 1 if f in SPECTRA else None]]
     finishes = jnp.concatenate(
         [
             scene.materials[scene.finishes[:, 0]][:, np.array(columns)],

@@ -34,3 +34,27 @@ def conductor(eta: Spectrum, k: Spectrum, cos_theta: Any) -> Spectrum:
         return jnp.where(grazing, 1.0, 0.5 * rs * (1.0 + rp))
 
     return eta.map(one, k)
+
+
+def dielectric(eta: Any, cos_theta: Any) -> tuple[Any, Any, Any]:
+    """Reflectance of a smooth boundary of index η, inside over outside, at incidence cosθ, below 0 from the inside;
+    |cosθ| of the transmitted direction, 0 at total reflection; and the index on the other side over that on this."""
+    ratio = jnp.where(cos_theta < 0, 1.0 / eta, eta)
+    c = jnp.minimum(jnp.abs(cos_theta), 1.0)
+    t2 = 1.0 - (1.0 - c) * (1.0 + c) / (ratio * ratio)
+    t = safe_sqrt(t2)
+    rs, rp = (c - ratio * t) / (c + ratio * t), (ratio * c - t) / (ratio * c + t)
+    return jnp.where(t2 > 0, 0.5 * (rs * rs + rp * rp), 1.0), t, ratio
+
+
+def diffuse_reflectance(eta: Any) -> Any:
+    """Mean reflectance of a smooth boundary for light that is even over the hemisphere, index η of the other side.
+
+    Fits of Egan and Hilgeman 1973 (η < 1) and d'Eon and Irving 2011.
+    """
+    inverse = 1.0 / eta
+    dense = 0.919317 + inverse * (
+        -3.4793 + inverse * (6.75335 + inverse * (-7.80989 + inverse * (4.98554 - 1.36881 * inverse)))
+    )
+    thin = 0.0636 * inverse + 0.6681 + eta * (0.7099 - 1.4399 * eta)
+    return jnp.where(eta < 1.0, thin, dense)

@@ -17,7 +17,7 @@ from .fresnel import conductor
 from .lobe import Lobe
 
 
-def _distribution(m: Any, h: Vec3) -> Any:
+def distribution(m: Any, h: Vec3) -> Any:
     """D(h): density of normals per projected area; the stretched square sums small terms only."""
     ax, ay = m.alpha
     x, y = h.x / ax, h.y / ay
@@ -25,13 +25,13 @@ def _distribution(m: Any, h: Vec3) -> Any:
     return 1.0 / (np.pi * ax * ay * q * q)
 
 
-def _lambda(m: Any, w: Vec3) -> Any:
+def length(m: Any, w: Vec3) -> Any:
     """Length of the stretched direction: cosθ √(1 + α² tan²θ) = cosθ (1 + 2Λ)."""
     ax, ay = m.alpha
     return safe_sqrt((ax * w.x) ** 2 + (ay * w.y) ** 2 + w.z * w.z)
 
 
-def _positive(x: Any) -> Any:
+def positive(x: Any) -> Any:
     """x, or 1 where x is no use as a denominator: directions below the surface, whose value is dropped."""
     return jnp.where(x > 1e-12, x, 1.0)  # its inverse square is finite in float32
 
@@ -40,8 +40,8 @@ def eval(m: Any, wi: Vec3, wo: Vec3) -> Spectrum:
     h = normalise(wi + wo)
     cos_d = jnp.clip(dot(h, wo), 0.0, 1.0)
     # G₂/(4 cosθ_i cosθ_o) without forming the quotient of small numbers
-    g = 0.5 / _positive(wi.z * _lambda(m, wo) + wo.z * _lambda(m, wi))
-    return m.reflectance * conductor(m.eta, m.k, cos_d) * (_distribution(m, h) * g)
+    g = 0.5 / positive(wi.z * length(m, wo) + wo.z * length(m, wi))
+    return m.reflectance * conductor(m.eta, m.k, cos_d) * (distribution(m, h) * g)
 
 
 def _bound(m: Any, wo: Vec3) -> Any:
@@ -67,8 +67,8 @@ def sample(m: Any, wo: Vec3, u: tuple[Any, Any]) -> Vec3:
 
 def pdf(m: Any, wi: Vec3, wo: Vec3) -> Any:
     h = normalise(wi + wo)
-    t = _lambda(m, wo)
-    return _distribution(m, h) / _positive(2.0 * (_bound(m, wo) * wo.z + t))
+    t = length(m, wo)
+    return distribution(m, h) / positive(2.0 * (_bound(m, wo) * wo.z + t))
 
 
 LOBE = Lobe("ggx", 2, ("alpha", "reflectance", "eta", "k"), sample, eval, pdf)

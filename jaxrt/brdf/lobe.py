@@ -6,6 +6,8 @@ import dataclasses
 from collections.abc import Callable
 from typing import Any
 
+import jax.numpy as jnp
+
 from ..vector import Spectrum, Vec3
 
 
@@ -17,12 +19,17 @@ def _no_pdf(m: Any, wi: Vec3, wo: Vec3) -> Any:
     return wo.z * 0.0
 
 
+def _every(m: Any, wo: Vec3, u: tuple[Any, Any]) -> Any:
+    return jnp.ones(jnp.shape(wo.z), bool)
+
+
 @dataclasses.dataclass(frozen=True)
 class Lobe:
     """A lobe's number in the material table, the fields it reads, and its functions.
 
-    `eval` and `pdf` may assume cosines above 0. A delta lobe has a `weight` (reflected radiance per
-    incident radiance) instead of `eval` and `pdf`.
+    `eval` and `pdf` may assume cosines above 0, unless the lobe `transmits`. A lobe with a delta part has its `weight`
+    (radiance per incident radiance, over the chance of that direction), and says which samples are the delta's: all
+    of them, where it has nothing else. Densities are the chance of the rest times its density.
     """
 
     name: str
@@ -33,3 +40,5 @@ class Lobe:
     pdf: Callable[[Any, Vec3, Vec3], Any] = _no_pdf
     weight: Callable[[Any, Vec3, Vec3], Spectrum] = _no_eval
     delta: bool = False
+    is_delta: Callable[[Any, Vec3, tuple[Any, Any]], Any] = _every
+    transmits: bool = False

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,7 @@ import numpy as np
 from .. import parts
 from . import spectra
 from .conductors import CONDUCTORS
+from .indices import INDICES
 from .mitsuba_context import Context
 from .mitsuba_xml import Element
 
@@ -76,10 +78,7 @@ def _conductor(ctx: Context, element: Element, name: str) -> dict[str, Any]:
         if any(key in element.values for key in ("eta", "k")):
             element.fail("has a material and also eta or k; give only one kind")
         if material not in CONDUCTORS:
-            close = [known for known in CONDUCTORS if known.lower() == material.lower()]
-            close = close or difflib.get_close_matches(material, CONDUCTORS, 3, 0.4)
-            advice = f"did you mean {' or '.join(close)}?" if close else "give eta and k instead"
-            element.fail(f"material {material[:80]!r} is not known; {advice}")
+            element.fail(f"material {material[:80]!r} is not known; {_close(material, CONDUCTORS, 'eta and k')}")
         eta, k = CONDUCTORS[material]
     return {
         "eta": eta,
@@ -89,18 +88,52 @@ def _conductor(ctx: Context, element: Element, name: str) -> dict[str, Any]:
 
 
 def _rough_conductor(ctx: Context, element: Element, name: str) -> dict[str, Any]:
-    distribution = ctx.string(element, "distribution", "beckmann")  # Mitsuba's default
-    if distribution.lower() != "ggx":
-        given = "" if "distribution" in element.values else " (Mitsuba's default)"
-        element.fail(
-            f"distribution {distribution[:80]!r}{given} is not supported; "
-            'give <string name="distribution" value="ggx"/>'
-        )
+    distribution = ctx.string(element, "distribution", "beckmann").lower()  # Mitsuba's default
+    if distribution not in _DISTRIBUTIONS:
+        element.fail(f"distribution {distribution[:80]!r} is not known; give beckmann or ggx")
     both = [key in element.values for key in ("alpha_u", "alpha_v")]
     if any(both) and (not all(both) or "alpha" in element.values):
         element.fail("has only part of its roughness; give alpha, or both alpha_u and alpha_v")
     alpha = [_roughness(ctx, element, key) for key in (("alpha_u", "alpha_v") if any(both) else ("alpha",))]
-    return {"alpha": alpha, **_conductor(ctx, element, name)}
+    return {"alpha": alpha, "distribution": _DISTRIBUTIONS[distribution], **_conductor(ctx, element, name)}
+
+
+_DISTRIBUTIONS = {"beckmann": "beckmann", "ggx": "ggx_separable"}
+
+
+def _index(ctx: Context, element: Element, name: str, default: str) -> float:
+    """An index of refraction, by number or by name."""
+    if name in element.values and element.values[name].kind != "string":
+        return ctx.number(element, name)
+    material = ctx.string(element, name, default)
+    if material.lower() not in INDICES:
+        element.fail(f"{name} {material[:80]!r} is not known; {_close(material, INDICES, 'a number')}")
+    return INDICES[material.lower()]
+
+
+def _close(name: str, known: Iterable[str], instead: str) -> str:
+    close = [k for k in known if k.lower() == name.lower()] or difflib.get_close_matches(name, known, 3, 0.4)
+    return f"did you mean {' or '.join(close)}?" if close else f"give {instead} instead"
+
+
+def _dielectric(ctx: Context, element: Element, name: str) -> dict[str, Any]:
+    fields: dict[str, Any] = {"int_ior": _index(ctx, element, "int_ior", "bk7")}
+    fields["ext_ior"] = _index(ctx, element, "ext_ior", "air")
+    for key in ("specular_reflectance", "specular_transmittance"):
+        fields[key] = color(ctx, element, key, 1.0, "reflectance")
+    return fields
+
+
+def _thin_dielectric(ctx: Context, element: Element, name: str) -> dict[str, Any]:
+    return {**_dielectric(ctx, element, name), "thin": True}
+
+
+def _plastic(ctx: Context, element: Element, name: str) -> dict[str, Any]:
+    fields: dict[str, Any] = {"int_ior": _index(ctx, element, "int_ior", "polypropylene")}
+    fields["ext_ior"] = _index(ctx, element, "ext_ior", "air")
+    for key, default in (("diffuse_reflectance", 0.5), ("specular_reflectance", 1.0)):
+        fields[key] = color(ctx, element, key, default, "reflectance")
+    return {**fields, "nonlinear": ctx.boolean(element, "nonlinear", False)}
 
 
 def _roughness(ctx: Context, element: Element, name: str) -> float:
@@ -126,6 +159,10 @@ _BSDFS: dict[str, tuple[Any, Any]] = {
     "diffuse": (parts.Diffuse, _diffuse),
     "conductor": (parts.Conductor, _conductor),
     "roughconductor": (parts.Conductor, _rough_conductor),
+    "dielectric": (parts.Dielectric, _dielectric),
+    "thindielectric": (parts.Dielectric, _thin_dielectric),
+    "plastic": (parts.Plastic, _plastic),
+    "null": (parts.Null, lambda ctx, element, name: {}),
     "twosided": (parts.TwoSided, _two_sided),
 }
 

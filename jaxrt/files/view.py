@@ -12,12 +12,14 @@ import numpy as np
 from ..parts import (
     Cylinder,
     Description,
+    Dielectric,
     Diffuse,
     Disk,
     Enclosure,
     Film,
     Instance,
     Mesh,
+    Null,
     Rectangle,
     SceneError,
     Sensor,
@@ -154,7 +156,11 @@ def _both_sides(shapes: list[Shape | Instance]) -> tuple[list[Shape | Instance],
     made: dict[int, TwoSided] = {}
     out, turned = [], []
     for shape in shapes:
-        if isinstance(shape, Mesh) and not isinstance(bsdf := shape.bsdf, TwoSided) and not closed_outwards(shape):
+        if (
+            isinstance(shape, Mesh)
+            and not isinstance(bsdf := shape.bsdf, (TwoSided, Dielectric, Null))
+            and not closed_outwards(shape)
+        ):
             shape = copy.copy(shape)  # shares the arrays
             shape.bsdf = made.setdefault(id(bsdf), TwoSided(bsdf))  # one BSDF for all meshes that share one
             turned.append(shape.id or "mesh")

@@ -38,7 +38,7 @@ LINKS, GATHERS, LOOKS = 1 / 8, 4, 16
 """For pictures: links of the field for each path; directions that a path looks into; samples a pixel up to which paths
 look at elements themselves."""
 
-NEAR, NEAR_FROM = 4.0, 1024
+NEAR, NEAR_FROM = 5.0, 1024
 """From within so many times its size an element is not looked at where a pixel takes as many samples as the second
 says, or more; with fewer it may be looked at from much nearer, for few pixels near contacts hold up all others."""
 
@@ -49,7 +49,7 @@ UNEVEN = 1.0
 """Direct light that falls on the wrong quarter of an element, in shares of what elements reflect on average, from which
 a cell is cut."""
 
-LEAST, MOST = 1 << 14, 1 << 22
+LEAST, MOST = 1 << 14, 1 << 23
 """Links of a picture's field, at least and at most: 16 bytes each where they carry a weight."""
 
 

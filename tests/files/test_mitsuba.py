@@ -414,15 +414,15 @@ def test_nothing_to_note(load):
 
 
 def test_what_nothing_refers_to_is_noted(load):
-    body = '<bsdf type="dielectric" id="glass"/><emitter type="area"/><medium type="homogeneous" id="fog"/>'
+    body = '<bsdf type="principled" id="glass"/><emitter type="area"/><medium type="homogeneous" id="fog"/>'
     notes = load(body).notes
     assert len(notes) == 3 and all("nothing refers to it" in note for note in notes)
-    assert any("dielectric" in note and "is not supported" in note for note in notes)
+    assert any("principled" in note and "is not supported" in note for note in notes)
 
 
 def test_unsupported_material_in_use_is_refused(refused):
-    message = refused('<bsdf type="dielectric" id="glass"/>\n<shape type="sphere"><ref id="glass"/></shape>')
-    assert message.startswith('scene.xml:2: <bsdf type="dielectric" id="glass">: is not supported; use diffuse')
+    message = refused('<bsdf type="principled" id="glass"/>\n<shape type="sphere"><ref id="glass"/></shape>')
+    assert message.startswith('scene.xml:2: <bsdf type="principled" id="glass">: is not supported; use diffuse')
 
 
 # ---------------------------------------------------------------------------------------- transforms
@@ -615,6 +615,26 @@ def test_conductors(load, plugin, given, alpha, eta, k):
     assert made.specular_reflectance.tolist() == [1]
 
 
+def test_distributions(load):
+    made = [material(load, f'<bsdf type="roughconductor">{d}</bsdf>').distribution for d in ("", GGX)]
+    assert made == ["beckmann", "ggx_separable"]
+
+
+def test_glass_and_plastic(load):
+    glass = material(load, '<bsdf type="dielectric"/>')
+    assert (glass.int_ior, glass.ext_ior, glass.thin) == (1.5046, 1.000277, False)
+    assert glass.specular_reflectance.tolist() == glass.specular_transmittance.tolist() == [1]
+    thin = material(load, '<bsdf type="thindielectric"><float name="int_ior" value="2"/></bsdf>')
+    assert (thin.int_ior, thin.thin) == (2.0, True)
+    paint = material(load, '<bsdf type="plastic"><string name="ext_ior" value="Water"/></bsdf>')
+    assert (paint.int_ior, paint.ext_ior, paint.nonlinear) == (1.49, 1.333, False)
+    assert (paint.diffuse_reflectance, paint.specular_reflectance) == (0.5, 1.0)
+    assert isinstance(material(load, '<bsdf type="null"/>'), parts.Null)
+
+
+GGX = '<string name="distribution" value="ggx"/>'
+
+
 def test_specular_reflectance(load):
     made = material(load, '<bsdf type="conductor"><rgb name="specular_reflectance" value=".1 .2 .3"/></bsdf>')
     assert made.specular_reflectance.tolist() == [0.1, 0.2, 0.3]
@@ -629,13 +649,12 @@ def test_specular_reflectance(load):
             "only one kind",
         ),
         ('<bsdf type="conductor"><float name="eta" value="-1"/></bsdf>', "eta: is -1"),
-        ('<bsdf type="roughconductor"/>', "'beckmann' (Mitsuba's default) is not supported"),
-        ('<bsdf type="roughconductor"><string name="distribution" value="beckmann"/></bsdf>', "'beckmann' is not supp"),
+        ('<bsdf type="roughconductor"><string name="distribution" value="phong"/></bsdf>', "'phong' is not known"),
+        ('<bsdf type="dielectric"><string name="int_ior" value="bk-7"/></bsdf>', "did you mean bk7"),
+        ('<bsdf type="plastic"><float name="int_ior" value="0"/></bsdf>', "int_ior: is 0"),
         ('<bsdf type="twosided"/>', "has no BSDF inside"),
         ('<bsdf type="twosided"><bsdf type="diffuse"/><bsdf type="diffuse"/></bsdf>', "has two BSDFs"),
-        ('<bsdf type="twosided"><bsdf type="null"/></bsdf>', '<bsdf type="null">: is not supported'),
-        ('<bsdf type="null"/>', "is not supported"),
-        ('<bsdf type="dielectric"/>', "is not supported"),
+        ('<bsdf type="twosided"><bsdf type="null"/></bsdf>', "holds what transmits"),
         ('<bsdf type="principled"/>', "is not supported"),
     ],
 )

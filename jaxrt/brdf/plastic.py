@@ -1,0 +1,56 @@
+"""Diffuse paint below a smooth clear coat, Mitsuba's `plastic`: what enters by Fresnel is reflected diffusely and
+leaves by Fresnel; what the coat throws back inside is summed up as if it were even light."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from jax.lax import stop_gradient as sg
+
+from ..sampling.warp import cosine_hemisphere
+from ..vector import Spectrum, Vec3, where
+from . import mirror
+from .fresnel import dielectric, diffuse_reflectance
+from .lobe import Lobe
+
+
+def _chance(m: Any, wo: Vec3) -> Any:
+    """Of drawing the mirror direction: Fresnel's share, by how bright coat and paint are."""
+    f = dielectric(m.ior, wo.z)[0]
+    coat, paint = (sum(c.channels) for c in (m.specular, m.reflectance))
+    shine, rest = f * coat, (1.0 - f) * paint
+    total = shine + rest
+    return sg(jnp.where(total > 0, shine / jnp.where(total > 0, total, 1.0), 0.0))
+
+
+def is_delta(m: Any, wo: Vec3, u: tuple[Any, Any]) -> Any:
+    return u[0] < _chance(m, wo)
+
+
+def sample(m: Any, wo: Vec3, u: tuple[Any, Any]) -> Vec3:
+    chance = _chance(m, wo)
+    again = (u[0] - chance) / jnp.where(chance < 1.0, 1.0 - chance, 1.0)
+    paint = cosine_hemisphere((jnp.clip(again, 0.0, 1.0 - 2.0**-24), u[1]))
+    return where(u[0] < chance, mirror.sample(m, wo, u), paint)
+
+
+def eval(m: Any, wi: Vec3, wo: Vec3) -> Spectrum:
+    enters, leaves = (1.0 - dielectric(m.ior, w.z)[0] for w in (wi, wo))
+    inside = diffuse_reflectance(1.0 / m.ior)
+    paint = m.reflectance.map(lambda c: c / (1.0 - inside * jnp.where(m.nonlinear > 0.5, c, 1.0)))
+    return paint * (enters * leaves / (np.pi * m.ior * m.ior))
+
+
+def pdf(m: Any, wi: Vec3, wo: Vec3) -> Any:
+    return (1.0 - _chance(m, wo)) * wi.z / np.pi
+
+
+def weight(m: Any, wi: Vec3, wo: Vec3) -> Spectrum:
+    chance = _chance(m, wo)
+    return m.specular * (dielectric(m.ior, wo.z)[0] / jnp.where(chance > 0, chance, 1.0))
+
+
+FIELDS = ("reflectance", "specular", "ior", "nonlinear")
+LOBE = Lobe("plastic", 8, FIELDS, sample, eval, pdf, weight, delta=True, is_delta=is_delta)

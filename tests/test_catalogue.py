@@ -1,0 +1,94 @@
+"""Every item of the catalogue against Mitsuba 3 on a scene of its own, by a z-test of each value."""
+
+import numpy as np
+import pytest
+
+import jaxrt
+
+pytestmark = [pytest.mark.peer, pytest.mark.usefixtures("short_loops")]
+
+SCENE = """<scene version="3.0.0"><integrator type="path"><integer name="max_depth" value="{depth}"/></integrator>
+<sensor type="perspective"><float name="fov" value="40"/>
+<transform name="to_world"><lookat origin="0,-5,2" target="0,0,0" up="0,0,1"/></transform>
+<sampler type="independent"><integer name="sample_count" value="256"/></sampler><film type="hdrfilm">
+<integer name="width" value="24"/><integer name="height" value="16"/><rfilter type="box"/></film></sensor>
+<shape type="rectangle"><transform name="to_world"><scale value="3"/><translate z="-1"/></transform>
+<bsdf type="diffuse"><rgb name="reflectance" value=".8,.5,.2"/></bsdf></shape>
+<shape type="sphere"><point name="center" x="2" y="-1" z="4"/><float name="radius" value=".7"/>
+<emitter type="area"><rgb name="radiance" value="9,8,7"/></emitter></shape>{emitter}{shape}</scene>"""
+BALL = '<shape type="sphere">{}</shape>'
+BOX = """<shape type="cube"><transform name="to_world"><scale value=".6"/><rotate z="1" angle="30"/></transform>{}</shape>
+<shape type="sphere"><point name="center" x="1.4" y="0" z="-.5"/><float name="radius" value=".5"/>{}</shape>"""
+CONSTANT = '<emitter type="constant"><rgb name="radiance" value=".3,.4,.5"/></emitter>'
+
+
+def rough(distribution, more):
+    return f'<bsdf type="roughconductor"><string name="distribution" value="{distribution}"/>{more}</bsdf>'
+
+
+def two(a, b):
+    return BOX.format(a, b)
+
+
+GOLD = '<string name="material" value="Au"/>'
+ITEMS = {
+    "beckmann": two(rough("beckmann", GOLD), rough("beckmann", '<float name="alpha" value=".4"/>')),
+    "ggx": two(
+        rough("ggx", '<float name="alpha_u" value=".5"/><float name="alpha_v" value=".1"/>'),
+        rough("ggx", '<float name="alpha" value=".8"/>'),
+    ),
+    "dielectric": two(
+        '<bsdf type="dielectric"/>',
+        '<bsdf type="dielectric"><string name="int_ior" value="diamond"/><float name="ext_ior" value="1.1"/>'
+        '<rgb name="specular_reflectance" value=".9,.8,.7"/><rgb name="specular_transmittance" value=".6,.7,.8"/></bsdf>',
+    ),
+    "thindielectric": two(
+        '<bsdf type="thindielectric"><float name="int_ior" value="2"/></bsdf>',
+        '<bsdf type="thindielectric"><rgb name="specular_transmittance" value=".6,.7,.8"/></bsdf>',
+    ),
+    "plastic": two(
+        '<bsdf type="plastic"><rgb name="diffuse_reflectance" value=".1,.27,.36"/></bsdf>',
+        '<bsdf type="twosided"><bsdf type="plastic"><rgb name="diffuse_reflectance" value=".9,.5,.1"/>'
+        '<boolean name="nonlinear" value="true"/><string name="int_ior" value="pet"/></bsdf></bsdf>',
+    ),
+    "null": two('<bsdf type="null"/>', '<bsdf type="conductor"/>'),
+}
+
+
+def assert_same_picture(tmp_path, text, spp=1024, runs=16):
+    """Each value within 4.5 standard errors for nearly all, and the mean within that of its own."""
+    mi = pytest.importorskip("mitsuba")
+    mi.set_variant("scalar_rgb")
+    path = tmp_path / "scene.xml"
+    path.write_text(text)
+    peer = mi.load_file(str(path))
+    theirs = np.stack([np.array(mi.render(peer, spp=spp // runs, seed=k), np.float64)[..., :3] for k in range(runs)])
+    sols = [jaxrt.render(jaxrt.load(path), spp // 4, seed=k, method="path") for k in range(4)]
+    ours, error = (
+        np.mean([getattr(s, k).astype(np.float64) ** p for s in sols], 0) for k, p in (("image", 1), ("stderr", 2))
+    )
+    mean = theirs.mean(0)
+    rounding = 1e-5 * mean + 1e-6 * mean.mean()
+    z = (ours - mean) / np.sqrt(error / 4 + theirs.var(0, ddof=1) / runs + rounding**2)
+    assert (np.abs(z) < 4.5).mean() > 0.9975
+    spread = np.hypot(
+        theirs.mean((1, 2, 3)).std(ddof=1) / np.sqrt(runs),
+        np.std([s.image.mean(dtype=float) for s in sols], ddof=1) / 2,
+    )
+    assert spread < 0.01 * mean.mean()  # or the next line says nothing
+    assert abs(ours.mean() - mean.mean()) < 4.5 * spread + 1e-4 * mean.mean()
+
+
+@pytest.mark.parametrize("name", ITEMS)
+def test_mitsuba_renders_the_same_picture(name, tmp_path):
+    assert_same_picture(tmp_path, SCENE.format(depth=7, emitter=CONSTANT, shape=ITEMS[name]))
+
+
+def test_indices_of_refraction():
+    from jaxrt.files.indices import INDICES
+
+    mi = pytest.importorskip("mitsuba")
+    mi.set_variant("scalar_rgb")
+    for name, index in INDICES.items():
+        made = mi.load_dict({"type": "dielectric", "int_ior": name, "ext_ior": 1.0})
+        assert mi.traverse(made)["eta"] == pytest.approx(index, rel=1e-6), name
