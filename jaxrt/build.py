@@ -280,20 +280,21 @@ def build(
         structure=Structure(
             slots=tuple(names.slots.items()),
             shapes=tuple(layout),
-            sensors=tuple(
-                SensorStructure(
-                    s.kind,
-                    s.fov_axis,
-                    (s.film.width, s.film.height, s.film.filter, float(s.film.radius or 0.5), float(s.film.stddev)),
-                )
-                for s in sensors
-            ),
+            sensors=tuple(map(_structure, sensors)),
             sensor_ids=tuple(sensor_ids),
             integrator=(integrator.max_depth, integrator.rr_depth, integrator.hide_emitters, integrator.spp),
             source=source,
         ),
     )
     return dataclasses.replace(scene, plan=plan(scene))
+
+
+def _structure(s: Sensor) -> SensorStructure:
+    film = s.film
+    x, y, w, h = film.crop or (0, 0, film.width, film.height)
+    window = (x + s.principal_point[0] * w, y + s.principal_point[1] * h, float(w), float(h))
+    made = (film.width, film.height, film.filter, float(film.radius or 0.5), float(film.stddev))
+    return SensorStructure(s.kind, s.fov_axis, made, window)
 
 
 _LOCAL = {

@@ -50,9 +50,18 @@ class SensorStructure:
     kind: str
     fov_axis: str
     film: tuple[Any, ...]  # width, height, filter, radius, stddev
+    window: tuple[float, float, float, float]  # the picture's corner on the film it is cut from, and that film's size
 
     def sized(self, width: int, height: int) -> SensorStructure:
-        return dataclasses.replace(self, film=(width, height, *self.film[2:]))
+        """The same view in other pixels."""
+        across, down = width / self.film[0], height / self.film[1]
+        x, y, w, h = self.window
+        window = (x * across, y * down, w * across, h * down)
+        return dataclasses.replace(self, film=(width, height, *self.film[2:]), window=window)
+
+    def compiled(self) -> SensorStructure:
+        """What a program depends on: sizes are run-time numbers."""
+        return dataclasses.replace(self, film=(0, 0, *self.film[2:]), window=(0.0, 0.0, 0.0, 0.0))
 
     def as_film(self) -> Film:
         return Film(*self.film)

@@ -84,6 +84,20 @@ def test_mitsuba_renders_the_same_picture(name, tmp_path):
     assert_same_picture(tmp_path, SCENE.format(depth=7, emitter=CONSTANT, shape=ITEMS[name]))
 
 
+@pytest.mark.parametrize("kind", ["perspective", "orthographic"])
+def test_crop_windows_and_principal_points(kind, tmp_path):
+    text = SCENE.format(depth=3, emitter=CONSTANT, shape=BALL.format('<bsdf type="diffuse"/>'))
+    crop = zip(("width", "height", "offset_x", "offset_y"), (10, 12, 9, 3), strict=True)
+    window = "".join(f'<integer name="crop_{k}" value="{v}"/>' for k, v in crop)
+    text = text.replace('<integer name="height"', window + '<integer name="height"')
+    if kind == "orthographic":
+        text = text.replace('"perspective"><float name="fov" value="40"/>', '"orthographic">')
+    else:
+        shift = "".join(f'<float name="principal_point_offset_{k}" value="{v}"/>' for k, v in (("x", 0.1), ("y", -0.2)))
+        text = text.replace('<float name="fov"', shift + '<float name="fov"')
+    assert_same_picture(tmp_path, text)
+
+
 def test_indices_of_refraction():
     from jaxrt.files.indices import INDICES
 

@@ -34,9 +34,9 @@ def sensor(ctx: Context, element: Element, place: str) -> tuple[parts.Sensor, in
     focus = ctx.number(element, "focus_distance", fields["far"])
     if element.plugin == "thinlens":
         fields |= {"aperture_radius": ctx.number(element, "aperture_radius"), "focus_distance": focus}
-    for key in ("principal_point_offset_x", "principal_point_offset_y") if element.plugin == "perspective" else ():
-        if ctx.number(element, key, 0.0) != 0:
-            element.fail(f"{key} is not supported; remove it")
+    if element.plugin == "perspective":
+        shift = [ctx.number(element, f"principal_point_offset_{axis}", 0.0) for axis in "xy"]
+        fields["principal_point"] = tuple(shift)
     film_element, sampler = ctx.child(element, "film"), ctx.child(element, "sampler")
     samples = _samples(ctx, sampler) if sampler else SAMPLES
     made = ctx.part(
@@ -80,18 +80,14 @@ def _samples(ctx: Context, element: Element) -> int:
 def film(ctx: Context, element: Element) -> parts.Film:
     if element.plugin != "hdrfilm":
         element.fail("is not supported; use hdrfilm")
-    for key in _CROP:
-        if key in element.values:
-            element.fail(f"{key} is not supported; remove the crop window")
     rfilter = ctx.child(element, "rfilter")
     fields = _filter(ctx, rfilter) if rfilter else {}
-    made = ctx.part(
-        element,
-        parts.Film,
-        width=ctx.integer(element, "width", 768),
-        height=ctx.integer(element, "height", 576),
-        **fields,
-    )
+    width, height = ctx.integer(element, "width", 768), ctx.integer(element, "height", 576)
+    if any(key in element.values for key in _CROP):
+        x, y = (ctx.integer(element, f"crop_offset_{axis}", 0) for axis in "xy")
+        fields["crop"] = (x, y, width, height)
+        width, height = (ctx.integer(element, f"crop_{k}", n) for k, n in (("width", width), ("height", height)))
+    made = ctx.part(element, parts.Film, width=width, height=height, **fields)
     silent = dict.fromkeys(("pixel_format", "component_format", "file_format", "banner", "compensate"), "")
     ctx.finish(element, {**silent, "sample_border": _NO_EFFECT})
     return made

@@ -50,17 +50,18 @@ CAMERAS: dict[str, Callable[..., tuple[Vec3, Vec3]]] = {
 
 
 def ray(
-    sensor: SensorStructure, to_world: Any, lens: Any, size: tuple[Any, Any], at: tuple[Any, Any], u: Any
+    sensor: SensorStructure, to_world: Any, lens: Any, window: Any, at: tuple[Any, Any], u: Any
 ) -> tuple[Vec3, Vec3]:
-    """Origin (on the near plane) and unit direction through a film position `at` in pixels.
+    """Origin (on the near plane) and unit direction through a position `at` of the picture, in pixels.
 
-    `lens`: fov (degrees), near, far, aperture radius, focus distance (m); `u`: a pair in [0, 1) for the lens.
+    `lens`: fov (degrees), near, far, aperture radius, focus distance (m); `window`: the picture's corner on the film
+    that it is cut from, and that film's width and height, in pixels; `u`: a pair in [0, 1) for the lens.
     """
-    width, height = size
+    left, top, width, height = (window[k] for k in range(4))
     aspect = width / height
     half = jnp.ones_like(lens[0]) if sensor.kind == "orthographic" else half_width(sensor.fov_axis, lens[0], aspect)
-    x = (1.0 - 2.0 * at[0] / width) * half
-    y = (1.0 - 2.0 * at[1] / height) * (half / aspect)
+    x = (1.0 - 2.0 * (at[0] + left) / width) * half
+    y = (1.0 - 2.0 * (at[1] + top) / height) * (half / aspect)
     o, d = CAMERAS[sensor.kind](x, y, lens, u)
     return transform_point(to_world, o), normalise(transform_vector(to_world, d))
 

@@ -29,6 +29,7 @@ class View(eqx.Module):
     lens: Any
     width: Any
     height: Any
+    window: Any  # where on a film of which size the picture lies, in pixels: x, y, width, height
     sensor: SensorStructure = eqx.field(static=True)
     searches: ClassVar[bool] = False
 
@@ -37,7 +38,7 @@ class View(eqx.Module):
         pixel = film.pixel(self.sensor.film, column, row, self.width, self.height)
         at = world.settle(film.sample(self.sensor.film, pixel, s.pair_at(0)))
         u = s.pair_at(1) if camera.uses_lens(self.sensor) else None
-        return start(world, *camera.ray(self.sensor, self.to_world, self.lens, (self.width, self.height), at, u))
+        return start(world, *camera.ray(self.sensor, self.to_world, self.lens, self.window, at, u))
 
 
 class Rays(eqx.Module):

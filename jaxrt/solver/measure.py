@@ -51,7 +51,8 @@ def view_of(scene: Scene, sensor: int) -> View:
         raise SceneError(f"{source}: has {len(sensors)} sensors, no number {sensor}; count from 0")
     structure = sensors[sensor]
     width, height = structure.film[:2]
-    return View(scene.sensor_to_world[sensor], scene.lens[sensor], width, height, structure.sized(0, 0))
+    window = np.array(structure.window, scene.lens.dtype)
+    return View(scene.sensor_to_world[sensor], scene.lens[sensor], width, height, window, structure.compiled())
 
 
 def depths_of(scene: Scene, max_depth: int | None, rr_depth: int | None = None) -> path.Depths:

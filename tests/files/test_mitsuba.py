@@ -903,7 +903,6 @@ def test_film_filters(load, given, expected):
             "to_world scales",
         ),
         ('<sensor type="perspective"><float name="near_clip" value="0"/></sensor>', "near_clip"),
-        ('<sensor type="perspective"><float name="principal_point_offset_x" value=".1"/></sensor>', "is not supported"),
         ('<sensor type="perspective"><film type="specfilm"/></sensor>', "use hdrfilm"),
         ('<sensor type="perspective"><film type="hdrfilm"/><film type="hdrfilm"/></sensor>', "has 2 <film>"),
         ('<sensor type="perspective"><sampler type="halton"/></sensor>', "use independent"),
@@ -917,7 +916,8 @@ def test_sensors_that_do_not_work(refused, body, problem):
 @pytest.mark.parametrize(
     "given, problem",
     [
-        ('<integer name="crop_width" value="10"/>', "remove the crop window"),
+        ('<integer name="crop_width" value="1000"/>', "goes beyond the film of 768 x 576 pixels"),
+        ('<integer name="crop_offset_y" value="-1"/>', "goes beyond the film"),
         ('<integer name="width" value="0"/>', "film.width: is 0"),
         ('<float name="width" value="10"/>', "write it as <integer>"),
         ('<rfilter type="mitchell"/>', "use box, tent or gaussian"),
@@ -927,6 +927,17 @@ def test_sensors_that_do_not_work(refused, body, problem):
 )
 def test_films_that_do_not_work(refused, given, problem):
     assert problem in refused(f'<sensor type="perspective"><film type="hdrfilm">{given}</film></sensor>')
+
+
+def test_crop_windows_and_principal_points(load):
+    crop = "".join(
+        f'<integer name="crop_{k}" value="{v}"/>' for k, v in zip(("width", "offset_x"), (100, 20), strict=True)
+    )
+    given = '<float name="principal_point_offset_y" value=".1"/>'
+    made = load(f'<shape type="sphere"/><sensor type="perspective">{given}<film type="hdrfilm">{crop}</film></sensor>')
+    film = made.sensors[0].film
+    assert (film.width, film.height, film.crop) == (100, 576, (20, 0, 768, 576))
+    assert made.sensors[0].principal_point == (0.0, 0.1)
 
 
 def test_fov_and_focal_length_together(refused):

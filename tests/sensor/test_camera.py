@@ -16,29 +16,46 @@ SIZES = [(16, 9), (9, 16), (8, 8)]
 
 
 @functools.partial(jax.jit, static_argnums=(0, 1))
-def _rays(kind, fov_axis, to_world, lens, size, at, u):
-    sensor = SensorStructure(kind, fov_axis, (0, 0, "box", 0.5, 0.5))
+def _rays(kind, fov_axis, to_world, lens, window, at, u):
+    sensor = SensorStructure(kind, fov_axis, (0, 0, "box", 0.5, 0.5), (0.0, 0.0, 0.0, 0.0))
 
     def one(p, v):
-        o, d = cameras.ray(sensor, to_world, lens, (size[0], size[1]), (p[0], p[1]), (v[0], v[1]))
+        o, d = cameras.ray(sensor, to_world, lens, window, (p[0], p[1]), (v[0], v[1]))
         return o.array(), d.array()
 
     return jax.vmap(one)(at, u)
 
 
 def rays(
-    at, size, kind="perspective", fov_axis="x", to_world=None, fov=50.0, near=0.01, aperture=0.0, focus=1.0, u=None
-):
+    at, size, kind="perspective", fov_axis="x", to_world=None, fov=50.0, near=0.01, aperture=0.0, focus=1.0, u=None,
+    corner=(0, 0),
+):  # fmt: skip
     at = np.atleast_2d(np.asarray(at, np.float32))
     u = np.zeros_like(at) if u is None else np.asarray(u, np.float32)
     m = np.asarray(np.eye(4) if to_world is None else to_world, np.float32)
     lens = np.array([fov, near, 1e4, aperture, focus], np.float32)
-    o, d = _rays(kind, fov_axis, m, lens, np.array(size, np.float32), at, u)
+    o, d = _rays(kind, fov_axis, m, lens, np.array([*corner, *size], np.float32), at, u)
     return np.asarray(o, np.float64), np.asarray(d, np.float64)
 
 
 def angle(a, b):
     return np.degrees(np.arctan2(np.linalg.norm(np.cross(a, b)), np.dot(a, b)))
+
+
+def test_a_part_of_a_film_sees_what_the_film_sees_there():
+    at = np.array([[0.0, 0.0], [3.5, 2.25]])
+    for a, b in zip(rays(at + [5, 3], (16, 9)), rays(at, (16, 9), corner=(5, 3)), strict=True):
+        np.testing.assert_allclose(a, b, atol=1e-6)
+
+
+def test_windows_keep_their_place_at_other_sizes():
+    film = jaxrt.Film(4, 3, "box", crop=(2, 6, 8, 12))
+    sensor = jaxrt.Sensor(film=film, principal_point=(0.25, -0.5))
+    structure = jaxrt.Scene.build([jaxrt.Sphere()], sensors=[sensor]).structure.sensors[0]
+    assert structure.window == (4.0, 0.0, 8.0, 12.0)
+    assert structure.sized(8, 3).window == (8.0, 0.0, 16.0, 12.0)
+    with pytest.raises(jaxrt.SceneError, match="goes beyond the film of 8 x 12"):
+        jaxrt.Film(4, 3, crop=(5, 0, 8, 12))
 
 
 @pytest.mark.parametrize("size", SIZES)
