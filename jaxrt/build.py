@@ -14,17 +14,21 @@ from .effects import plan
 from .parts import (
     Cube,
     Cylinder,
+    Directional,
     Disk,
     Enclosure,
     Group,
     Instance,
     Integrator,
+    Lamp,
     Mesh,
+    Point,
     Rectangle,
     SceneError,
     Sensor,
     Shape,
     Sphere,
+    Spot,
     TwoSided,
 )
 from .scene import KINDS, Scene, SensorStructure, Slot, Structure
@@ -143,6 +147,7 @@ def build(
     *,
     sensors: Sequence[Sensor] = (),
     enclosure: Enclosure | None = None,
+    lamps: Sequence[Lamp] = (),
     integrator: Integrator | None = None,
     channels: int | None = None,
     source: str = "",
@@ -165,7 +170,8 @@ def build(
     if not shapes:
         raise SceneError(f"{source or 'scene'}: has no shapes; add at least one")
     enclosure, integrator = enclosure or Enclosure(), integrator or Integrator()
-    longest = max([enclosure.radiance.size] + [v.size for s in shapes for v in _spectra(s)])
+    bright = [lamp.irradiance if isinstance(lamp, Directional) else lamp.intensity for lamp in lamps]
+    longest = max([enclosure.radiance.size] + [v.size for s in shapes for v in _spectra(s)] + [v.size for v in bright])
     c = longest if channels is None else channels
     names = _Names()
     ids = [names.part(s.id or type(s).__name__.lower()) for s in shapes]
@@ -208,6 +214,18 @@ def build(
             kind, rows = _patches(shape)
             by_kind[kind].append((k, rows))
         names.add(f"{ids[k]}.to_world", "to_world", k)
+
+    lamp_radiance = []
+    for k, (lamp, value) in enumerate(zip(lamps, bright, strict=True)):
+        name = names.part(lamp.id or type(lamp).__name__.lower())
+        key = "irradiance" if isinstance(lamp, Directional) else "intensity"
+        names.add(f"{name}.{key}", "radiance", len(radiance))
+        lamp_radiance.append(len(radiance))
+        radiance.append(_spread(value, c, f"{name}.{key}"))
+        if isinstance(lamp, Point):
+            names.add(f"{name}.position", "lamps", k, (0, 3))
+        if not isinstance(lamp, Point) or isinstance(lamp, Spot):
+            names.add(f"{name}.direction", "lamps", k, (3, 6))
 
     counts = [sum(len(rows) for _, rows in by_kind[kind]) for kind in KINDS]
     blocks = [bucket(n) for n in counts]
@@ -273,6 +291,8 @@ def build(
         instance_group=i(group_of, bucket(len(instances)), -1),
         groups=i(np.array(groups, int).reshape(-1, 2), bucket(len(groups)), (sum(blocks), 0)),
         lights=i(lights, bucket(len(lights)), -1),
+        lamps=f([lamp.row() for lamp in lamps] or np.zeros((0, 9)), (9,), bucket(len(lamps))),
+        lamp_radiance=i(lamp_radiance, bucket(len(lamps))),
         sensor_to_world=f([s.to_world for s in sensors], (4, 4), len(sensors)),
         lens=f([(s.fov, s.near, s.far, s.aperture_radius, s.focus_distance) for s in sensors], (5,), len(sensors)),
         blocks=tuple(blocks),

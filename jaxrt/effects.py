@@ -19,7 +19,7 @@ from .brdf import ALBEDOS, LOBES, SPECTRA, MaterialColumns
 from .intersect import BACKENDS, choose, refusal
 from .near_lamps import solid_angle_pays
 from .parts import SceneError
-from .scene import CAMERAS, KINDS, Scene
+from .scene import CAMERAS, KINDS, LAMPS, Scene
 
 
 @jax.tree_util.register_static
@@ -38,6 +38,7 @@ class Plan:
     anisotropic: bool
     smooth_normals: bool
     light_kinds: tuple[str, ...]  # kinds of faces that emit
+    lamp_kinds: tuple[str, ...]  # of lamps without extent
     many_lights: bool
     solid_angle: bool  # whether flat lights are sampled by it
     area_light: bool
@@ -62,7 +63,7 @@ class Plan:
 
     @property
     def lights(self) -> bool:
-        return bool(self.light_kinds)
+        return bool(self.light_kinds or self.lamp_kinds)
 
     def __str__(self) -> str:
         width = max(len(name) for name, _, _ in self.reasons)
@@ -87,7 +88,7 @@ class _View:
         self.free = set(names) if free == () else {n for p in patterns for n in fnmatch.filter(names, p)}
         used = self.array["finishes"][np.unique(self.array["shape_finish"])]
         self.material_rows = sorted({int(r) for r in used[:, 0]} - {0})
-        self.radiance_rows = sorted({int(r) for r in used[:, 1]} | {1})
+        self.radiance_rows = sorted({int(r) for r in (*used[:, 1], *np.asarray(scene.lamp_radiance))} | {1})
         self.assumes: list[tuple[str, str]] = []
 
     def field(self, name: str) -> np.ndarray:
@@ -135,12 +136,15 @@ def plan(scene: Scene, free: str | Iterable[str] | None = (), *, backend: str | 
     dark = {r for r in view.radiance_rows if view.fixed("radiance", r) and not view.array["radiance"][r].any()}
     lights = view.lights[view.lights >= 0]
     emitting = bool(set(shape_emitter[view.face_shape[lights]].tolist()) - dark)
+    lamp_rows = np.asarray(scene.lamp_radiance)
+    shining = (lamp_rows > 0) & ~np.isin(lamp_rows, list(dark))
+    lamp_kinds = {LAMPS[int(k)] for k in np.asarray(scene.lamps)[shining, 8]}
     kinds_of_lights = {KINDS[k] for k in np.searchsorted(np.cumsum(scene.blocks), lights, side="right")}
     if any(r > 1 for r in dark):
         view.assumes.append(("*.radiance", "emitters of radiance 0 stay dark"))
     bounces = any(view.field(f).any() for f in ALBEDOS) or not view.fixed("materials")
     if not bounces:
-        view.assumes.append(("*.*reflectance", "every reflectance stays 0"))
+        view.assumes.append(("*.*reflectance, *.*transmittance", "each stays 0"))
     smooth = bool(np.abs(view.normals).any())
     enclosure = 1 not in dark
     chosen: dict[str, Any] = {
@@ -152,6 +156,7 @@ def plan(scene: Scene, free: str | Iterable[str] | None = (), *, backend: str | 
         "light_sampling": emitting,
         "solid_angle": emitting and solid_angle_pays(scene, lights),
         "rgb": not grey,
+        **{kind: kind in lamp_kinds for kind in LAMPS},
     }
     for name, value in overrides.items():
         if name not in chosen:
@@ -171,7 +176,9 @@ def plan(scene: Scene, free: str | Iterable[str] | None = (), *, backend: str | 
     else:
         why_backend = "asked for"
 
-    n_lights = len(lights) if emitting else 0  # dark ones too: their rows are among those that are drawn from
+    # Dark ones too: their rows are among those that are drawn from.
+    lamps_in = tuple(kind for kind in LAMPS if chosen[kind] and (lamp_rows > 0).any())
+    n_lights = (len(lights) if emitting else 0) + (int((lamp_rows > 0).sum()) if lamps_in else 0)
     say: Callable[[bool, str, str], str] = lambda on, yes, no: yes if on else no
     films, cameras = {s.film[2] for s in structure.sensors}, {s.kind for s in structure.sensors}
     used = lambda on, what: f"a {what} uses it" if on else f"no {what}"
@@ -184,9 +191,10 @@ def plan(scene: Scene, free: str | Iterable[str] | None = (), *, backend: str | 
         ("anisotropic", chosen["anisotropic"], say(anisotropic, "alpha_u differs from alpha_v", "no such material")),
         ("smooth_normals", chosen["smooth_normals"], say(smooth, "a mesh has vertex normals", "all faces are flat")),
         ("area_light", chosen["area_light"], f"{n_lights} emitting faces"),
+        *((k, k in lamps_in, "lamps without extent" if k in lamp_kinds else "no such lamp") for k in LAMPS),
         ("light_sampling", sampled, say(sampled, "rays towards lamps", "lamps are met by reflection alone")),
         ("solid_angle", chosen["solid_angle"], say(chosen["solid_angle"], "lamps are large and near", "no such lamps")),
-        ("light_selection", n_lights > 1, say(n_lights > 1, "by power", "at most one emitting face")),
+        ("light_selection", n_lights > 1, say(n_lights > 1, "by power", "at most one light")),
         ("enclosure", chosen["enclosure"], say(enclosure, "constant radiance", "black")),
         ("hide_emitters", structure.asked().hide_emitters, "from the camera, if the integrator asks"),
         ("bounces", chosen["bounces"], say(bounces, "surfaces reflect", "every reflectance is 0")),
@@ -208,6 +216,7 @@ def plan(scene: Scene, free: str | Iterable[str] | None = (), *, backend: str | 
         anisotropic=chosen["anisotropic"],
         smooth_normals=chosen["smooth_normals"],
         light_kinds=tuple(k for k in KINDS if k in kinds_of_lights) if sampled else (),
+        lamp_kinds=lamps_in,
         many_lights=n_lights > 1,
         solid_angle=chosen["solid_angle"],
         area_light=chosen["area_light"],

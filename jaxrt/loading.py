@@ -28,6 +28,7 @@ def load(path: str | Path, /, **defaults: Any) -> Scene:
         description.shapes,
         sensors=description.sensors,
         enclosure=description.enclosure,
+        lamps=description.lamps,
         integrator=description.integrator,
         channels=3,
         source=str(path),

@@ -73,7 +73,7 @@ class Reflected(eqx.Module):
 
 
 class ReflectionOperator(eqx.Module):
-    """K. Its adjoint is itself by reciprocity."""
+    """K. Its adjoint is itself by reciprocity, but where surfaces transmit: there radiance over η² is reciprocal."""
 
     rule: Any
 

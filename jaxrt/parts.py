@@ -29,7 +29,10 @@ def check(ok: bool, element: str, problem: str) -> None:
 
 def spectrum(value: Any, element: str, *, most: float = np.inf, least: float = 0.0) -> np.ndarray:
     """A finite spectrum, shape (1,) or (C,), float64, with every value in [least, most]."""
-    a = np.atleast_1d(np.asarray(value, np.float64))
+    try:
+        a = np.atleast_1d(np.asarray(value, np.float64))
+    except (TypeError, ValueError):
+        raise SceneError(f"{element}: {str(value)[:80]!r} is no number") from None
     check(a.ndim == 1, element, f"a spectrum is one number or a list of numbers, not shape {a.shape}")
     check(bool(np.isfinite(a).all()), element, "has a value that is not finite; give finite numbers")
     check(bool((np.abs(a) <= LARGEST).all()), element, f"has a value beyond {LARGEST:g}; give smaller numbers")
@@ -349,7 +352,75 @@ class Instance:
         return [dataclasses.replace(s, to_world=self.to_world @ s.to_world) for s in self.group.shapes]
 
 
-# --------------------------------------------------------------- enclosure, sensors, integrator
+# ---------------------------------------------------- lamps without extent, enclosure, sensors, integrator
+
+
+def _unit(value: Any, element: str) -> np.ndarray:
+    v = np.asarray(value, np.float64)
+    good = v.shape == (3,) and bool(np.isfinite(v).all()) and bool(v.any())
+    check(good, element, "is no direction; give three finite numbers, not all 0")
+    return v / np.linalg.norm(v)
+
+
+@dataclasses.dataclass
+class Point:
+    """A lamp at a point, of `intensity` (W·sr⁻¹) in all directions."""
+
+    position: Any = (0.0, 0.0, 0.0)
+    intensity: Any = 1.0
+    id: str = ""
+
+    def __post_init__(self):
+        name = self.id or "point"
+        self.position = np.asarray(self.position, np.float64)
+        good = self.position.shape == (3,) and bool((np.abs(self.position) <= LARGEST).all())
+        check(good, f"{name}.position", "is no point; give three finite numbers")
+        self.intensity = spectrum(self.intensity, f"{name}.intensity")
+
+    def row(self) -> np.ndarray:
+        return np.array([*self.position, 0, 0, 1, 0, 0, 0], float)
+
+
+@dataclasses.dataclass
+class Spot(Point):
+    """A point lamp that shines into a cone around `direction`: `intensity` up to `beam_width` (degrees from its axis),
+    from there on less, in proportion to the angle, to nothing at `cutoff_angle`."""
+
+    direction: Any = (0.0, 0.0, 1.0)
+    cutoff_angle: float = 20.0
+    beam_width: float | None = None
+
+    def __post_init__(self):
+        super().__post_init__()
+        name = self.id or "spot"
+        self.direction = _unit(self.direction, f"{name}.direction")
+        self.cutoff_angle = scalar(self.cutoff_angle, f"{name}.cutoff_angle", least=0.0, most=180.0)
+        width = 0.75 * self.cutoff_angle if self.beam_width is None else self.beam_width
+        self.beam_width = scalar(width, f"{name}.beam_width", least=0.0, most=self.cutoff_angle)
+
+    def row(self) -> np.ndarray:
+        cutoff, beam = np.radians(self.cutoff_angle), np.radians(self.beam_width or 0.0)
+        return np.array([*self.position, *self.direction, cutoff, beam, 1], float)
+
+
+@dataclasses.dataclass
+class Directional:
+    """Light from infinitely far away along `direction`, of `irradiance` (W·m⁻²) on a surface across it."""
+
+    direction: Any = (0.0, 0.0, 1.0)
+    irradiance: Any = 1.0
+    id: str = ""
+
+    def __post_init__(self):
+        name = self.id or "directional"
+        self.direction = _unit(self.direction, f"{name}.direction")
+        self.irradiance = spectrum(self.irradiance, f"{name}.irradiance")
+
+    def row(self) -> np.ndarray:
+        return np.array([0, 0, 0, *self.direction, 0, 0, 2], float)
+
+
+Lamp = Point | Spot | Directional
 
 
 @dataclasses.dataclass
@@ -457,5 +528,6 @@ class Description:
     shapes: Sequence[Shape | Instance]
     sensors: Sequence[Sensor] = ()
     enclosure: Enclosure | None = None
+    lamps: Sequence[Lamp] = ()
     integrator: Integrator = dataclasses.field(default_factory=Integrator)
     notes: Sequence[str] = ()

@@ -103,7 +103,7 @@ class BrdfRule(eqx.Module):
 
 
 class LightRule(eqx.Module):
-    """n directions drawn towards area lights."""
+    """n directions drawn towards area lights; others are no part of L⁰, which G could see."""
 
     world: World = eqx.field(converter=world_of)
     n: int = eqx.field(static=True, default=1)
@@ -114,7 +114,7 @@ class LightRule(eqx.Module):
         def one(t: Stream) -> Node:
             node, light = light_node(world, x, at, t)
             # A light behind another one: G would give the radiance of the one in front.
-            behind = cast(world, x, node.w).face != light.face
+            behind = (cast(world, x, node.w).face != light.face) | (light.face < 0)  # and lamps that G cannot see
             return eqx.tree_at(lambda a: a.weight, node, node.weight * jnp.where(behind, 0.0, 1.0))
 
         return _averaged(_nodes(self.n, one, s), self.n)

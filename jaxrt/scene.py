@@ -25,6 +25,9 @@ KINDS = ("triangle", "parallelogram", "disk", "sphere", "cylinder")
 """Kinds of faces, in the order in which faces are numbered. A face is a surface that a ray meets in one piece."""
 
 
+LAMPS = ("point", "spot", "directional")
+"""Kinds of lamps without extent, in the order of their numbers in tables."""
+
 CAMERAS = ("perspective", "thinlens", "orthographic")
 
 
@@ -116,6 +119,8 @@ class Scene(eqx.Module):
     instance_group: Int32[Array, " I"]  # -1 for padding
     groups: Int32[Array, "G 2"]  # first triangle and how many; they follow those that `counts` counts
     lights: Int32[Array, " L"]  # faces that emit, -1 for padding
+    lamps: Float[Array, "D 9"]  # without extent: position, direction, angles of cutoff and beam (radians), kind
+    lamp_radiance: Int32[Array, " D"]  # row of radiance, where their intensity is; 0 for padding
     sensor_to_world: Float[Array, "N 4 4"]
     lens: Float[Array, "N 5"]  # fov (degrees), near, far, aperture radius, focus distance
     blocks: tuple[int, ...] = eqx.field(static=True)  # padded number of faces of each kind

@@ -21,7 +21,7 @@ from .effects import Plan
 from .effects import plan as make_plan
 from .instances import Instances
 from .intersect import Faces, Search, affine, build_search
-from .scene import KINDS, Scene, Structure, in_working_precision
+from .scene import KINDS, LAMPS, Scene, Structure, in_working_precision
 
 FACE = {"n": 0, "height": 3, "side": 4, "finish": 5, "density": 6, "u": 7, "v": 11, "extra": 15}
 """Columns of `World.faces`. Of a curved face: n is its centre (or foot), height its radius, u its axis."""
@@ -189,6 +189,14 @@ def _light_bounds(scene: Scene, geometry: Any, real: Any) -> Any:
     return jnp.concatenate([center, radius], -1)
 
 
+def _power(lamps: Any, intensity: Any, radius: Any) -> Any:
+    """Flux of each lamp without extent over π: what area times radiance is of a face."""
+    kind, cutoff = lamps[:, 8], lamps[:, 6]
+    cap = 2.0 * (1.0 - jnp.cos(cutoff))
+    share = jnp.where(kind == LAMPS.index("point"), 4.0, jnp.where(kind == LAMPS.index("spot"), cap, radius * radius))
+    return intensity * share
+
+
 def prepare(scene: Scene, plan: Plan) -> World:
     """The world of a scene under a plan. Pure; the search structure carries no derivatives."""
     sg = jax.lax.stop_gradient
@@ -203,14 +211,20 @@ def prepare(scene: Scene, plan: Plan) -> World:
     shape = scene.face_shape[face]
     power = sg(area[face] * scene.radiance[scene.finishes[scene.shape_finish[shape], 1]].mean(-1))
     real = (scene.lights >= 0) & (area[face] > 0)
+    real = real & bool(plan.light_kinds or not plan.lamp_kinds)  # else only lamps without extent are sampled
+    lamps, faces_real = scene.lamps[: len(scene.lamps) if plan.lamp_kinds else 0], real
+    intensity = scene.radiance[scene.lamp_radiance[: len(lamps)]]
+    power = jnp.concatenate([power, sg(_power(lamps, intensity.mean(-1), radius))])
+    used = jnp.isin(lamps[:, 8].astype(int), jnp.array([LAMPS.index(k) for k in plan.lamp_kinds], int))
+    real = jnp.concatenate([real, used & (scene.lamp_radiance[: len(lamps)] > 0)])
     n = jnp.maximum(real.sum(), 1)
     total = jnp.where(real, power, 0).sum()
     chance = jnp.where(total > 0, 0.95 * power / jnp.where(total > 0, total, 1.0) + 0.05 / n, 1.0 / n)
     chance = jnp.where(real, chance, 0.0)
     density = (
         jnp.zeros(scene.faces)
-        .at[jnp.where(real, scene.lights, scene.faces)]
-        .add(chance / jnp.where(real, area[face], 1.0), mode="drop")
+        .at[jnp.where(faces_real, scene.lights, scene.faces)]
+        .add(chance[: len(face)] / jnp.where(faces_real, area[face], 1.0), mode="drop")
     )
 
     o = geometry[:, :3] - sg(center)[None]
@@ -232,8 +246,12 @@ def prepare(scene: Scene, plan: Plan) -> World:
     rows = jnp.concatenate([rows, jnp.zeros((1, rows.shape[1]), rows.dtype).at[0, FACE["side"]].set(1.0)])
     radiance = scene.radiance * np.where(np.arange(len(scene.radiance)) == 1, plan.enclosure, plan.area_light)[:, None]
     lit = radiance[scene.finishes[scene.shape_finish[shape], 1]][:, : plan.channels]
-    per_light = [geometry[face], rows[face, :3], density[face][:, None], chance[:, None], lit, face[:, None]]
-    light_rows = jnp.concatenate([a.astype(side.dtype) for a in per_light], -1)
+    table = lambda *columns: jnp.concatenate([a.astype(side.dtype) for a in columns], -1)
+    of_face, of_lamp = chance[: len(face), None], chance[len(face) :, None]
+    light_rows = table(geometry[face], rows[face, :3], density[face][:, None], of_face, lit, face[:, None])
+    if plan.lamp_kinds:  # position, direction, cutoff, beam, kind; then as for faces
+        none, bright = jnp.zeros((len(lamps), 4)), intensity[:, : plan.channels]
+        light_rows = jnp.concatenate([light_rows, table(lamps, none, of_lamp, bright, 0 * of_lamp - 1)])
     table = MaterialColumns(scene.channels)
     columns = [j for f in plan.fields for j in range(*table[f])]
     if plan.channels == 1:
@@ -255,7 +273,7 @@ def prepare(scene: Scene, plan: Plan) -> World:
         finishes=finishes,
         light_rows=light_rows,
         light_cdf=jnp.cumsum(chance),
-        light_bounds=_light_bounds(scene, sg(geometry), real),
+        light_bounds=_light_bounds(scene, sg(geometry), faces_real),
         search=search,
         center=sg(center),
         radius=sg(radius),

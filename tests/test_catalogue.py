@@ -55,6 +55,15 @@ ITEMS = {
 }
 
 
+LAMPS = {
+    "point": """<emitter type="point"><point name="position" x="-1" y="-2" z="3"/>
+<rgb name="intensity" value="9,2,5"/></emitter>""",
+    "spot": """<emitter type="spot"><float name="cutoff_angle" value="25"/><rgb name="intensity" value="90,60,30"/>
+<transform name="to_world"><lookat origin="-1,-2,4" target=".5,0,0" up="0,0,1"/></transform></emitter>""",
+    "directional": '<emitter type="directional"><vector name="direction" x=".3" y=".5" z="-1"/></emitter>',
+}
+
+
 def assert_same_picture(tmp_path, text, spp=1024, runs=16):
     """Each value within 4.5 standard errors for nearly all, and the mean within that of its own."""
     mi = pytest.importorskip("mitsuba")
@@ -82,6 +91,15 @@ def assert_same_picture(tmp_path, text, spp=1024, runs=16):
 @pytest.mark.parametrize("name", ITEMS)
 def test_mitsuba_renders_the_same_picture(name, tmp_path):
     assert_same_picture(tmp_path, SCENE.format(depth=7, emitter=CONSTANT, shape=ITEMS[name]))
+
+
+@pytest.mark.parametrize("name", [*LAMPS, "all"])
+def test_lamps_without_extent(name, tmp_path):
+    emitters = "".join(LAMPS.values()) if name == "all" else LAMPS[name] + '<emitter type="constant"/>'
+    text = SCENE.format(depth=4, emitter=emitters, shape=two('<bsdf type="diffuse"/>', '<bsdf type="diffuse"/>'))
+    if name != "all":  # no lamp with extent beside it
+        text = text.replace('<emitter type="area"><rgb name="radiance" value="9,8,7"/></emitter>', "")
+    assert_same_picture(tmp_path, text)
 
 
 @pytest.mark.parametrize("kind", ["perspective", "orthographic"])

@@ -42,19 +42,18 @@ def dielectric(eta: Any, cos_theta: Any) -> tuple[Any, Any, Any]:
     ratio = jnp.where(cos_theta < 0, 1.0 / eta, eta)
     c = jnp.minimum(jnp.abs(cos_theta), 1.0)
     t2 = 1.0 - (1.0 - c) * (1.0 + c) / (ratio * ratio)
-    t = safe_sqrt(t2)
-    rs, rp = (c - ratio * t) / (c + ratio * t), (ratio * c - t) / (ratio * c + t)
-    return jnp.where(t2 > 0, 0.5 * (rs * rs + rp * rp), 1.0), t, ratio
+    t, bent = safe_sqrt(t2), t2 > 0
+    rs = (c - ratio * t) / jnp.where(bent, c + ratio * t, 1.0)
+    rp = (ratio * c - t) / jnp.where(bent, ratio * c + t, 1.0)
+    return jnp.where(bent, 0.5 * (rs * rs + rp * rp), 1.0), t, ratio
 
 
 def diffuse_reflectance(eta: Any) -> Any:
     """Mean reflectance of a smooth boundary for light that is even over the hemisphere, index η of the other side.
 
-    Fits of Egan and Hilgeman 1973 (η < 1) and d'Eon and Irving 2011.
+    From outside, by the fit of d'Eon and Irving 2011; from inside what follows, for as much light passes both ways but
+    for the η² of its radiance.
     """
-    inverse = 1.0 / eta
-    dense = 0.919317 + inverse * (
-        -3.4793 + inverse * (6.75335 + inverse * (-7.80989 + inverse * (4.98554 - 1.36881 * inverse)))
-    )
-    thin = 0.0636 * inverse + 0.6681 + eta * (0.7099 - 1.4399 * eta)
-    return jnp.where(eta < 1.0, thin, dense)
+    e = jnp.where(eta < 1.0, eta, 1.0 / eta)
+    outside = 0.919317 + e * (-3.4793 + e * (6.75335 + e * (-7.80989 + e * (4.98554 - 1.36881 * e))))
+    return jnp.where(eta < 1.0, 1.0 - (1.0 - outside) * e * e, outside)

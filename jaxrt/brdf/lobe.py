@@ -27,7 +27,7 @@ def _every(m: Any, wo: Vec3, u: tuple[Any, Any]) -> Any:
 class Lobe:
     """A lobe's number in the material table, the fields it reads, and its functions.
 
-    `eval` and `pdf` may assume cosines above 0, unless the lobe `transmits`. A lobe with a delta part has its `weight`
+    `eval` and `pdf` may assume cosines above 0. A lobe with a delta part has its `weight`
     (radiance per incident radiance, over the chance of that direction), and says which samples are the delta's: all
     of them, where it has nothing else. Densities are the chance of the rest times its density.
     """

@@ -17,9 +17,10 @@ from .lobe import Lobe
 
 
 def _chance(m: Any, wo: Vec3) -> Any:
-    """Of drawing the mirror direction: Fresnel's share, by how bright coat and paint are."""
+    """Of drawing the mirror direction: Fresnel's share, by how bright coat and paint are. Black ones are drawn at
+    times, for their derivative."""
     f = dielectric(m.ior, wo.z)[0]
-    coat, paint = (sum(c.channels) for c in (m.specular, m.reflectance))
+    coat, paint = (jnp.maximum(sum(c.channels), 0.05) for c in (m.specular, m.reflectance))
     shine, rest = f * coat, (1.0 - f) * paint
     total = shine + rest
     return sg(jnp.where(total > 0, shine / jnp.where(total > 0, total, 1.0), 0.0))

@@ -37,10 +37,12 @@ def _beckmann(m: Any, h: Vec3) -> Any:
 def _masked(m: Any, w: Vec3) -> Any:
     """G₁/(2 cosθ) of Beckmann normals, by Walter's rational fit (2007) in a = 1/(α tanθ)."""
     ax, ay = m.alpha
-    across = ggx.positive(jnp.sqrt((ax * w.x) ** 2 + (ay * w.y) ** 2 + 1e-30))
+    across = jnp.sqrt((ax * w.x) ** 2 + (ay * w.y) ** 2 + 1e-30)
+    shallow = w.z < 1.6 * across
+    across = jnp.where(shallow, across, 1.0)
     a = w.z / across
     fit = (3.535 + 2.181 * a) / (across * (1.0 + a * (2.276 + 2.577 * a)))
-    return 0.5 * jnp.where(a < 1.6, fit, 1.0 / ggx.positive(w.z))
+    return 0.5 * jnp.where(shallow, fit, 1.0 / ggx.positive(w.z))
 
 
 def beckmann(m: Any, wi: Vec3, wo: Vec3) -> Spectrum:

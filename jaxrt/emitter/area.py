@@ -21,7 +21,7 @@ from ..sampling.sobol import Drawn, Stream
 from ..surface import SurfacePoint, _row, _vec
 from ..vector import Frame, Spectrum, Vec3, cross, dot, normalise, safe_sqrt, where
 from ..world import FACE, FEW_LIGHTS, World
-from . import spherical
+from . import delta, spherical
 
 
 class LightSample(eqx.Module):
@@ -119,10 +119,22 @@ def sample(world: World, x: Vec3, s: Stream | Drawn, pair: int, n: Vec3 | None =
     """A direction from x, where the normal is n if that is known, to a light. Uses the pairs `pair` and, to choose
     among several lights, `pair + 1`."""
     plan = world.plan
-    u = s.pair_at(pair)
     index = _choose(world, s.pair_at(pair + 1)[0])[0] if plan.many_lights else 0
     row = _row(world.light_rows, index)
     face = row[14 + plan.channels].astype(jnp.int32)
+    light = _of_face(world, x, row, face, s.pair_at(pair), n) if plan.light_kinds else None
+    if plan.lamp_kinds:
+        w, distance, radiance, pdf, known = delta.sample(world, x, row)
+        one = jnp.ones_like(distance)
+        lamp = LightSample(w, distance, radiance, pdf, known, face, one, one < 0)
+        light = lamp if light is None else where(face < 0, lamp, light)
+    assert light is not None
+    return light
+
+
+def _of_face(world: World, x: Vec3, row: Any, face: Any, u: tuple[Any, Any], n: Vec3 | None) -> LightSample:
+    """A direction from x to the light of a row, which is a face."""
+    plan = world.plan
     moving, attached = x, row
     x, fixed, n = jax.lax.stop_gradient((x, [row[k] for k in range(14)], n))
     front, density, chance = _vec(fixed, 9), fixed[12], fixed[13]

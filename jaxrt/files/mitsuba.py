@@ -11,6 +11,7 @@ import numpy as np
 from .. import parts
 from . import mitsuba_xml
 from .mitsuba_context import Context
+from .mitsuba_lamps import LAMPS, lamp
 from .mitsuba_materials import bsdf, color
 from .mitsuba_nodes import OBJECTS
 from .mitsuba_sensors import integrator, sensor
@@ -48,13 +49,16 @@ def _describe(document: Document) -> parts.Description:
         objects["integrator"][1].fail("is a second integrator; keep one")
     for element in objects["integrator"]:
         fields |= integrator(ctx, element)
-    enclosure = _enclosure(ctx, objects["emitter"])
+    enclosure = _enclosure(ctx, [e for e in objects["emitter"] if e.plugin not in LAMPS])
+    found = [e for e in objects["emitter"] if e.plugin in LAMPS]
+    lamps = [lamp(ctx, element, f"{element.plugin}_{k}" if k else element.plugin) for k, element in enumerate(found)]
     _note_unused(ctx, objects)
     ctx.finish(root)
     return parts.Description(
         shapes=shapes,
         sensors=[made for made, _ in sensors],
         enclosure=enclosure,
+        lamps=lamps,
         integrator=parts.Integrator(**fields),
         notes=ctx.notes,
     )
@@ -76,7 +80,7 @@ def _enclosure(ctx: Context, elements: list[Element]) -> parts.Enclosure | None:
         if element.plugin == "area":
             continue  # it belongs to the shape that references it
         if element.plugin != "constant":
-            element.fail("is not supported; use constant, or area in a shape")
+            element.fail(f"is not supported; use {', '.join(LAMPS)} or constant, or area in a shape")
         if found is not None:
             element.fail("is a second environment; keep one")
         ctx.transform(element)  # Mitsuba takes it, and it moves nothing
@@ -90,7 +94,11 @@ def _note_unused(ctx: Context, objects: dict[str, list[Element]]) -> None:
     """Whatever does nothing at the top of a scene unless something refers to it. Good BSDFs are left unsaid."""
     for tag, elements in objects.items():
         for element in elements:
-            if tag in ("shape", "sensor", "integrator") or element.plugin == "constant" or element in ctx.referenced:
+            if (
+                tag in ("shape", "sensor", "integrator")
+                or element.plugin in ("constant", *LAMPS)
+                or element in ctx.referenced
+            ):
                 continue
             try:
                 reason = "stands alone"

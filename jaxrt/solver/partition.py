@@ -38,7 +38,7 @@ def areas_of_faces(world: World) -> np.ndarray:
 
 
 def diffuse_sides(world: World, scene: Scene) -> tuple[np.ndarray, np.ndarray]:
-    """For each side of a face: whether it is diffuse, and whether it is black."""
+    """For each side of a face: whether it is diffuse, and whether it is black: neither reflects nor transmits."""
     plan, faces, rows = world.plan, sum(world.blocks), np.asarray(world.faces)
     counts = np.asarray(scene.counts)
     used = np.concatenate([np.arange(n) < counts[k] for k, n in enumerate(world.blocks)])
@@ -48,8 +48,10 @@ def diffuse_sides(world: World, scene: Scene) -> tuple[np.ndarray, np.ndarray]:
     lobe, two = field("lobe"), field("twosided")
     diffuse = np.full(faces, plan.lobes == ("diffuse",)) if lobe is None else lobe == LOBES["diffuse"].number
     two = np.full(faces, plan.twosided == "all") if two is None else two > 0.5
+    through = [LOBES[name].number for name in plan.lobes if LOBES[name].transmits]
+    through = np.isin(lobe, through) if lobe is not None else np.full(faces, bool(through))
     diffuse, reflects = diffuse & used, np.concatenate([used, used & two])
-    return np.concatenate([diffuse, diffuse]) & reflects, ~reflects
+    return np.concatenate([diffuse, diffuse]) & reflects, ~(reflects | np.concatenate([used & through] * 2))
 
 
 @dataclasses.dataclass
@@ -189,7 +191,7 @@ def partition(
     size = np.sqrt(areas) if clustered else longer
     emits = np.any(np.asarray(world.finishes)[:, -world.plan.channels :] > 0, axis=-1)
     emits = emits[np.asarray(world.faces)[:faces, FACE["finish"]].astype(int)] & (area > 0)
-    everywhere = bool(area[emits].sum() > EVERYWHERE * area.sum())
+    everywhere = bool(area[emits].sum() > EVERYWHERE * area.sum()) and not world.plan.lamp_kinds
     fill = lambda a, size, value=0: np.concatenate([a, np.full((size - len(a), *a.shape[1:]), value, a.dtype)])
     black_first = lambda a: np.concatenate([np.zeros((1, *a.shape[1:]), a.dtype), a])
     dtype = np.asarray(world.faces).dtype

@@ -175,7 +175,7 @@ def _reflect(world: World, depths: Depths, state: PathState, landing: Landing, n
     # Russian roulette from rr_depth on.
     most = sg(beta.max())
     if state.before is not None:  # black surfaces reflect nothing, but their derivative does
-        most = jnp.where((most > 0) | ~(node.pdf > 0), most, 0.05)
+        most = jnp.where((most > 0) | ~((node.pdf > 0) | node.delta), most, 0.05)
     survive = jnp.where(depth >= depths.rr_depth, jnp.clip(most, 0.0, 0.95), 1.0)
     alive = alive & (most > 0) & (s.pair_at(2)[1] < survive)
     beta = beta * (1.0 / jnp.where(survive > 0, survive, 1.0))

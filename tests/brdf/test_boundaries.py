@@ -37,7 +37,7 @@ def test_fresnel(eta):
     assert float(fresnel.dielectric(1.5, 1.0)[0]) == pytest.approx(0.04, rel=1e-5)
 
 
-@pytest.mark.parametrize("eta", [1 / 1.5, 1 / 1.33, 1.33, 1.5])
+@pytest.mark.parametrize("eta", [1 / 4, 1 / 2.4, 1 / 1.5, 1 / 1.33, 1.33, 1.5, 2.4])
 def test_mean_reflectance_of_even_light(eta):
     cos = (np.arange(20000) + 0.5) / 20000
     want = (2 * cos * reflectance(eta, cos)).mean()
@@ -142,3 +142,55 @@ def test_glass_in_a_furnace_cannot_be_seen(short_loops):
     seen = np.asarray(jaxrt.radiance(scene, points, down, jax.random.key(0), spp=64, max_depth=64))
     assert abs(seen.mean() - 1) < 2e-3
     np.testing.assert_allclose(seen, 1, atol=0.15)
+
+
+@pytest.mark.parametrize("lobe", ["glass", "thin_glass", "plastic"])
+@pytest.mark.parametrize("eta", [1.0, 0.7, 1.5])
+def test_derivatives_are_finite_at_grazing_and_total_reflection(lobe, eta):
+    def total(eta, cos):
+        wo = Vec3(jnp.sqrt(1.0 - cos * cos + 1e-12), 0.0 * cos, cos)
+        m = material(eta)
+        wi, _ = brdf.sample((lobe,), m, wo, (0.5, 0.5))
+        both = brdf.eval((lobe,), m, wi, wo), brdf.delta_weight((lobe,), m, wi, wo)
+        return sum(f.channels[0] for f in both) + wi.z
+
+    for cos in (0.0, 1e-3, -1e-3, -0.3, 1.0):
+        assert np.isfinite(jax.grad(total, (0, 1))(jnp.float32(eta), jnp.float32(cos))).all(), cos
+
+
+def test_black_plastic_can_be_left():
+    """Straight down at plastic below light of 1: derivatives of both its albedos at 0."""
+    paint = jaxrt.Plastic(0.0, 0.0, 1.5, 1.0, id="paint")
+    scene = jaxrt.Scene.build([jaxrt.Rectangle(bsdf=paint)], enclosure=jaxrt.Enclosure(1.0))
+
+    def seen(diffuse, specular):
+        changed = jaxrt.with_params(
+            scene, {"paint.diffuse_reflectance": diffuse, "paint.specular_reflectance": specular}
+        )
+        down = np.array([0.0, 0.0, -1.0])
+        return jaxrt.radiance(changed, [0.0, 0.0, 1.0], down, jax.random.key(0), spp=1 << 13, max_depth=2)[0]
+
+    slopes = jax.jit(jax.jacfwd(seen, (0, 1)))(0.0, 0.0)
+    assert float(slopes[0]) == pytest.approx(0.96, rel=0.02)  # what gets in gets out where nothing is taken in
+    assert float(slopes[1]) == pytest.approx(0.04, rel=0.05)
+
+
+def test_what_transmits_is_no_black_side_of_the_field(short_loops):
+    """A closed room with balls of glass: the field's picture is that of paths, on the glass as well."""
+    room = jaxrt.Cube(to_world=moved(2.0), bsdf=jaxrt.TwoSided(jaxrt.Diffuse(0.5)))
+    lamp = jaxrt.Sphere(center=(0, 0, 1.5), radius=0.3, emission=5.0)
+    balls = [
+        jaxrt.Sphere(center=(-0.6, 0.8, 0), radius=0.5, bsdf=jaxrt.Dielectric()),
+        jaxrt.Sphere(center=(0.6, 0.8, 0), radius=0.5, bsdf=jaxrt.Dielectric(thin=True)),
+    ]
+    pose = np.array([[1.0, 0, 0, 0], [0, 0, 1, -1.8], [0, 1, 0, 0], [0, 0, 0, 1]])
+    sensor = jaxrt.Sensor(to_world=pose, fov=60.0, film=jaxrt.Film(16, 12, "box"))
+    scene = jaxrt.Scene.build([room, lamp, *balls], sensors=[sensor])
+    path, field = (jaxrt.render(scene, 512, 0, max_depth=12, method=m).image for m in ("path", "field"))
+    assert field.mean() == pytest.approx(path.mean(), rel=0.015)
+    assert field[4:8, 3:13].mean() == pytest.approx(path[4:8, 3:13].mean(), rel=0.03)
+
+
+def test_an_index_is_a_number():
+    with pytest.raises(jaxrt.SceneError, match=r"glass\.int_ior: 'bk7' is no number"):
+        jaxrt.Dielectric("bk7", id="glass")

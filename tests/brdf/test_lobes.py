@@ -196,6 +196,33 @@ def test_the_ggx_furnace(alpha):
     np.testing.assert_allclose(got, FURNACE[alpha], atol=1e-4)  # the table is good to 5e-5, and so is the quadrature
 
 
+@pytest.mark.parametrize("lobe", ["ggx", "ggx_separable", "beckmann"])
+def test_masking_ends_at_normal_incidence(lobe):
+    """f_r(n, n) = D(n)/4 whatever the masking; and it is smooth there."""
+    m = material((0.5, 0.4))
+    near = np.array([[0, 0, 1], [1e-6, 0, 1], [1e-3, 1e-3, 1]], np.float32)
+    f = np.asarray(_values(lobe, m, near, near)[0])
+    np.testing.assert_allclose(f, 1 / (4 * np.pi * 0.2), rtol=1e-4)
+
+
+@pytest.mark.peer
+@pytest.mark.parametrize("distribution", ["ggx", "beckmann"])
+def test_rough_conductors_are_those_of_mitsuba(distribution):
+    mi = pytest.importorskip("mitsuba")
+    mi.set_variant("scalar_rgb")
+    peer = mi.load_dict(
+        {"type": "roughconductor", "distribution": distribution, "alpha_u": 0.5, "alpha_v": 0.2, "material": "none"}
+    )
+    rng = np.random.default_rng(1)
+    wi, wo = (direction(rng.uniform(0.03, 1, 64), rng.uniform(-4, 4, 64)) for _ in range(2))
+    ours = _values({"ggx": "ggx_separable"}.get(distribution, distribution), material((0.5, 0.2)), wi, wo)[0]
+    si = mi.SurfaceInteraction3f()
+    for a, b, value in zip(wi, wo, ours, strict=True):
+        si.wi = mi.Vector3f(*map(float, b))
+        theirs = peer.eval(mi.BSDFContext(), si, mi.Vector3f(*map(float, a)))[0]
+        assert float(value) * a[2] == pytest.approx(theirs, rel=2e-3, abs=1e-6)
+
+
 @functools.cache
 def all_pairs(case):
     """f_r between the nodes of a coarse rule in μ (Gauss-Legendre in sin²θ, even in φ), and the rule's weights."""

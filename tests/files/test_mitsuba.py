@@ -338,7 +338,7 @@ def test_bytes_that_are_no_text(tmp_path):
             '<shape type="sphere"><emitter type="area"><transform name="to_world"/></emitter></shape>',
             "moves with its shape",
         ),
-        ('<emitter type="point"/>', '<emitter type="point">: is not supported'),
+        ('<emitter type="envmap"/>', '<emitter type="envmap">: is not supported'),
         ('<emitter type="envmap"/>', "is not supported"),
         ('<emitter type="constant"/><emitter type="constant"/>', "second environment"),
         ('<integrator type="volpath"/>', "is not supported"),
@@ -927,6 +927,24 @@ def test_sensors_that_do_not_work(refused, body, problem):
 )
 def test_films_that_do_not_work(refused, given, problem):
     assert problem in refused(f'<sensor type="perspective"><film type="hdrfilm">{given}</film></sensor>')
+
+
+def test_lamps_without_extent(load):
+    at = '<transform name="to_world"><lookat origin="1,2,3" target="1,2,0" up="0,1,0"/></transform>'
+    point, spot, sun = load(
+        '<shape type="sphere"/><emitter type="point"><point name="position" x="1" y="2" z="3"/></emitter>'
+        f'<emitter type="spot" id="beam">{at}<rgb name="intensity" value="1,2,3"/></emitter>'
+        f'<emitter type="directional">{at}</emitter>'
+    ).lamps
+    assert (point.id, spot.id, sun.id) == ("point", "beam", "directional_2")
+    assert point.position.tolist() == spot.position.tolist() == [1, 2, 3]
+    np.testing.assert_allclose([spot.direction, sun.direction], [[0, 0, -1]] * 2, atol=1e-12)
+    assert (spot.cutoff_angle, spot.beam_width) == (20, 15) and spot.intensity.tolist() == [1, 2, 3]
+
+
+def test_a_place_given_twice(refused):
+    both = '<point name="position" x="1" y="0" z="0"/><transform name="to_world"><translate x="1"/></transform>'
+    assert "has position and also to_world" in refused(f'<shape type="sphere"/><emitter type="point">{both}</emitter>')
 
 
 def test_crop_windows_and_principal_points(load):
