@@ -18,7 +18,7 @@ ALONE = 1e30
 def sample(world: World, x: Vec3, row: Any) -> tuple[Vec3, Any, Spectrum, Any, Any]:
     """Direction from x to the lamp of a row, distance (m), radiance over solid angle, its chance, and `ALONE`."""
     plan = world.plan
-    position, axis, kind = _vec(row, 0), _vec(row, 3), row[8]
+    position, axis, kind = _vec(row, 0), normalise(_vec(row, 3)), row[8]
     to = position - x
     d2 = dot(to, to)
     w, distance = normalise(to), safe_sqrt(d2)

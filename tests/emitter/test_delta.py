@@ -62,6 +62,13 @@ def test_a_lamp_that_moves():
     assert float(slope) == pytest.approx(7 * (a2 - 2 * z * z) / (z * z + a2) ** 2.5, rel=1e-3)
 
 
+def test_directions_may_have_any_length():
+    scene = jaxrt.Scene.build([FLOOR], lamps=[jaxrt.Directional((0, 0, -1), 2.0, "sun")])
+    turned = jaxrt.with_params(scene, {"sun.direction": [0.0, 3.0, -4.0]})
+    seen = jaxrt.irradiance(turned, X, UP, jax.random.key(0), spp=4, max_depth=2)
+    assert float(seen[0]) == pytest.approx(1.6, rel=1e-5)
+
+
 def test_the_field_method_sees_them(short_loops):
     box = [jaxrt.Cube(to_world=moved(1.0), bsdf=jaxrt.TwoSided(jaxrt.Diffuse(0.6)))]
     sensor = jaxrt.Sensor(to_world=moved(1.0, (0, 0, -0.9)), fov=80.0, film=jaxrt.Film(16, 16, "box"))
