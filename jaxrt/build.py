@@ -170,7 +170,8 @@ def build(
     if not shapes:
         raise SceneError(f"{source or 'scene'}: has no shapes; add at least one")
     enclosure, integrator = enclosure or Enclosure(), integrator or Integrator()
-    bright = [lamp.irradiance if isinstance(lamp, Directional) else lamp.intensity for lamp in lamps]
+    keys = ["irradiance" if isinstance(lamp, Directional) else "intensity" for lamp in lamps]
+    bright = [getattr(lamp, key) for lamp, key in zip(lamps, keys, strict=True)]
     longest = max([enclosure.radiance.size] + [v.size for s in shapes for v in _spectra(s)] + [v.size for v in bright])
     c = longest if channels is None else channels
     names = _Names()
@@ -216,15 +217,14 @@ def build(
         names.add(f"{ids[k]}.to_world", "to_world", k)
 
     lamp_radiance = []
-    for k, (lamp, value) in enumerate(zip(lamps, bright, strict=True)):
+    for k, (lamp, key, value) in enumerate(zip(lamps, keys, bright, strict=True)):
         name = names.part(lamp.id or type(lamp).__name__.lower())
-        key = "irradiance" if isinstance(lamp, Directional) else "intensity"
         names.add(f"{name}.{key}", "radiance", len(radiance))
         lamp_radiance.append(len(radiance))
         radiance.append(_spread(value, c, f"{name}.{key}"))
         if isinstance(lamp, Point):
             names.add(f"{name}.position", "lamps", k, (0, 3))
-        if not isinstance(lamp, Point) or isinstance(lamp, Spot):
+        if isinstance(lamp, (Spot, Directional)):
             names.add(f"{name}.direction", "lamps", k, (3, 6))
 
     counts = [sum(len(rows) for _, rows in by_kind[kind]) for kind in KINDS]

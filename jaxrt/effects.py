@@ -18,8 +18,8 @@ import numpy as np
 from .brdf import ALBEDOS, LOBES, SPECTRA, MaterialColumns
 from .intersect import BACKENDS, choose, refusal
 from .near_lamps import solid_angle_pays
-from .parts import SceneError
-from .scene import CAMERAS, KINDS, LAMPS, Scene
+from .parts import LAMPS, SceneError
+from .scene import CAMERAS, KINDS, Scene
 
 
 @jax.tree_util.register_static

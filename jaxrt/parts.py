@@ -120,10 +120,13 @@ class Conductor:
         return Row(self.distribution, {**fields, "alpha": np.maximum(self.alpha, 1e-3)}, {**names, "alpha": "alpha"})
 
 
-def _index(value: Any, element: str) -> float:
-    n = scalar(value, element)
-    check(0 < n <= 1e3, element, f"is {n:g}; give an index of refraction above 0, and at most 1000")
-    return n
+def _check_boundary(part: Dielectric | Plastic, name: str, *albedos: str) -> None:
+    for key in ("int_ior", "ext_ior"):
+        n = scalar(getattr(part, key), f"{name}.{key}")
+        check(0 < n <= 1e3, f"{name}.{key}", f"is {n:g}; give an index of refraction above 0, and at most 1000")
+        setattr(part, key, n)
+    for key in albedos:
+        setattr(part, key, spectrum(getattr(part, key), f"{name}.{key}", most=1.0))
 
 
 @dataclasses.dataclass
@@ -142,10 +145,7 @@ class Dielectric:
     id: str = ""
 
     def __post_init__(self):
-        name = self.id or "dielectric"
-        self.int_ior, self.ext_ior = (_index(getattr(self, k), f"{name}.{k}") for k in ("int_ior", "ext_ior"))
-        for key in ("specular_reflectance", "specular_transmittance"):
-            setattr(self, key, spectrum(getattr(self, key), f"{name}.{key}", most=1.0))
+        _check_boundary(self, self.id or "dielectric", "specular_reflectance", "specular_transmittance")
 
     def row(self) -> Row:
         fields = {"reflectance": self.specular_reflectance, "transmittance": self.specular_transmittance}
@@ -165,10 +165,7 @@ class Plastic:
     id: str = ""
 
     def __post_init__(self):
-        name = self.id or "plastic"
-        self.int_ior, self.ext_ior = (_index(getattr(self, k), f"{name}.{k}") for k in ("int_ior", "ext_ior"))
-        for key in ("diffuse_reflectance", "specular_reflectance"):
-            setattr(self, key, spectrum(getattr(self, key), f"{name}.{key}", most=1.0))
+        _check_boundary(self, self.id or "plastic", "diffuse_reflectance", "specular_reflectance")
 
     def row(self) -> Row:
         fields = {"reflectance": self.diffuse_reflectance, "specular": self.specular_reflectance}
@@ -355,6 +352,10 @@ class Instance:
 # ---------------------------------------------------- lamps without extent, enclosure, sensors, integrator
 
 
+LAMPS = ("point", "spot", "directional")
+"""Kinds of lamps without extent, in the order of their numbers in tables."""
+
+
 def _unit(value: Any, element: str) -> np.ndarray:
     v = np.asarray(value, np.float64)
     good = v.shape == (3,) and bool(np.isfinite(v).all()) and bool(v.any())
@@ -378,7 +379,7 @@ class Point:
         self.intensity = spectrum(self.intensity, f"{name}.intensity")
 
     def row(self) -> np.ndarray:
-        return np.array([*self.position, 0, 0, 1, 0, 0, 0], float)
+        return np.array([*self.position, 0, 0, 1, 0, 0, LAMPS.index("point")], float)
 
 
 @dataclasses.dataclass
@@ -400,7 +401,7 @@ class Spot(Point):
 
     def row(self) -> np.ndarray:
         cutoff, beam = np.radians(self.cutoff_angle), np.radians(self.beam_width or 0.0)
-        return np.array([*self.position, *self.direction, cutoff, beam, 1], float)
+        return np.array([*self.position, *self.direction, cutoff, beam, LAMPS.index("spot")], float)
 
 
 @dataclasses.dataclass
@@ -417,7 +418,7 @@ class Directional:
         self.irradiance = spectrum(self.irradiance, f"{name}.irradiance")
 
     def row(self) -> np.ndarray:
-        return np.array([0, 0, 0, *self.direction, 0, 0, 2], float)
+        return np.array([0, 0, 0, *self.direction, 0, 0, LAMPS.index("directional")], float)
 
 
 Lamp = Point | Spot | Directional

@@ -25,9 +25,6 @@ KINDS = ("triangle", "parallelogram", "disk", "sphere", "cylinder")
 """Kinds of faces, in the order in which faces are numbered. A face is a surface that a ray meets in one piece."""
 
 
-LAMPS = ("point", "spot", "directional")
-"""Kinds of lamps without extent, in the order of their numbers in tables."""
-
 CAMERAS = ("perspective", "thinlens", "orthographic")
 
 

@@ -21,7 +21,8 @@ from .effects import Plan
 from .effects import plan as make_plan
 from .instances import Instances
 from .intersect import Faces, Search, affine, build_search
-from .scene import KINDS, LAMPS, Scene, Structure, in_working_precision
+from .parts import LAMPS
+from .scene import KINDS, Scene, Structure, in_working_precision
 
 FACE = {"n": 0, "height": 3, "side": 4, "finish": 5, "density": 6, "u": 7, "v": 11, "extra": 15}
 """Columns of `World.faces`. Of a curved face: n is its centre (or foot), height its radius, u its axis."""
@@ -210,13 +211,13 @@ def prepare(scene: Scene, plan: Plan) -> World:
     face = jnp.where(scene.lights >= 0, scene.lights, 0)
     shape = scene.face_shape[face]
     power = sg(area[face] * scene.radiance[scene.finishes[scene.shape_finish[shape], 1]].mean(-1))
-    real = (scene.lights >= 0) & (area[face] > 0)
-    real = real & bool(plan.light_kinds or not plan.lamp_kinds)  # else only lamps without extent are sampled
-    lamps, faces_real = scene.lamps[: len(scene.lamps) if plan.lamp_kinds else 0], real
-    intensity = scene.radiance[scene.lamp_radiance[: len(lamps)]]
+    faces_real = (scene.lights >= 0) & (area[face] > 0)
+    faces_real &= bool(plan.light_kinds or not plan.lamp_kinds)  # else only lamps without extent are sampled
+    lamps, of_table = (a if plan.lamp_kinds else a[:0] for a in (scene.lamps, scene.lamp_radiance))
+    intensity = scene.radiance[of_table]
     power = jnp.concatenate([power, sg(_power(lamps, intensity.mean(-1), radius))])
     used = jnp.isin(lamps[:, 8].astype(int), jnp.array([LAMPS.index(k) for k in plan.lamp_kinds], int))
-    real = jnp.concatenate([real, used & (scene.lamp_radiance[: len(lamps)] > 0)])
+    real = jnp.concatenate([faces_real, used & (of_table > 0)])
     n = jnp.maximum(real.sum(), 1)
     total = jnp.where(real, power, 0).sum()
     chance = jnp.where(total > 0, 0.95 * power / jnp.where(total > 0, total, 1.0) + 0.05 / n, 1.0 / n)
@@ -246,12 +247,12 @@ def prepare(scene: Scene, plan: Plan) -> World:
     rows = jnp.concatenate([rows, jnp.zeros((1, rows.shape[1]), rows.dtype).at[0, FACE["side"]].set(1.0)])
     radiance = scene.radiance * np.where(np.arange(len(scene.radiance)) == 1, plan.enclosure, plan.area_light)[:, None]
     lit = radiance[scene.finishes[scene.shape_finish[shape], 1]][:, : plan.channels]
-    table = lambda *columns: jnp.concatenate([a.astype(side.dtype) for a in columns], -1)
+    joined = lambda *columns: jnp.concatenate([a.astype(side.dtype) for a in columns], -1)
     of_face, of_lamp = chance[: len(face), None], chance[len(face) :, None]
-    light_rows = table(geometry[face], rows[face, :3], density[face][:, None], of_face, lit, face[:, None])
+    light_rows = joined(geometry[face], rows[face, :3], density[face][:, None], of_face, lit, face[:, None])
     if plan.lamp_kinds:  # position, direction, cutoff, beam, kind; then as for faces
         none, bright = jnp.zeros((len(lamps), 4)), intensity[:, : plan.channels]
-        light_rows = jnp.concatenate([light_rows, table(lamps, none, of_lamp, bright, 0 * of_lamp - 1)])
+        light_rows = jnp.concatenate([light_rows, joined(lamps, none, of_lamp, bright, 0 * of_lamp - 1)])
     table = MaterialColumns(scene.channels)
     columns = [j for f in plan.fields for j in range(*table[f])]
     if plan.channels == 1:

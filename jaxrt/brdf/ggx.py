@@ -36,12 +36,16 @@ def positive(x: Any) -> Any:
     return jnp.where(x > 1e-12, x, 1.0)  # its inverse square is finite in float32
 
 
+def facet(m: Any, h: Vec3, wo: Vec3) -> Spectrum:
+    """What a facet with normal h reflects: Fresnel's share, coloured."""
+    return m.reflectance * conductor(m.eta, m.k, jnp.clip(dot(h, wo), 0.0, 1.0))
+
+
 def eval(m: Any, wi: Vec3, wo: Vec3) -> Spectrum:
     h = normalise(wi + wo)
-    cos_d = jnp.clip(dot(h, wo), 0.0, 1.0)
     # G₂/(4 cosθ_i cosθ_o) without forming the quotient of small numbers
     g = 0.5 / positive(wi.z * length(m, wo) + wo.z * length(m, wi))
-    return m.reflectance * conductor(m.eta, m.k, cos_d) * (distribution(m, h) * g)
+    return facet(m, h, wo) * (distribution(m, h) * g)
 
 
 def _bound(m: Any, wo: Vec3) -> Any:

@@ -22,8 +22,7 @@ def _chance(m: Any, wo: Vec3) -> Any:
     f = dielectric(m.ior, wo.z)[0]
     coat, paint = (jnp.maximum(sum(c.channels), 0.05) for c in (m.specular, m.reflectance))
     shine, rest = f * coat, (1.0 - f) * paint
-    total = shine + rest
-    return sg(jnp.where(total > 0, shine / jnp.where(total > 0, total, 1.0), 0.0))
+    return sg(shine / (shine + rest))
 
 
 def is_delta(m: Any, wo: Vec3, u: tuple[Any, Any]) -> Any:

@@ -11,20 +11,15 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from ..vector import Spectrum, Vec3, dot, normalise
+from ..vector import Spectrum, Vec3, normalise
 from . import ggx
-from .fresnel import conductor
 from .lobe import Lobe
-
-
-def _conductor(m: Any, h: Vec3, wo: Vec3) -> Spectrum:
-    return m.reflectance * conductor(m.eta, m.k, jnp.clip(dot(h, wo), 0.0, 1.0))
 
 
 def separable(m: Any, wi: Vec3, wo: Vec3) -> Spectrum:
     h = normalise(wi + wo)
     masked = lambda w: 1.0 / ggx.positive(w.z + ggx.length(m, w))  # G₁/(2 cosθ)
-    return _conductor(m, h, wo) * (ggx.distribution(m, h) * masked(wi) * masked(wo))
+    return ggx.facet(m, h, wo) * (ggx.distribution(m, h) * masked(wi) * masked(wo))
 
 
 def _beckmann(m: Any, h: Vec3) -> Any:
@@ -47,7 +42,7 @@ def _masked(m: Any, w: Vec3) -> Any:
 
 def beckmann(m: Any, wi: Vec3, wo: Vec3) -> Spectrum:
     h = normalise(wi + wo)
-    return _conductor(m, h, wo) * (_beckmann(m, h) * _masked(m, wi) * _masked(m, wo))
+    return ggx.facet(m, h, wo) * (_beckmann(m, h) * _masked(m, wi) * _masked(m, wo))
 
 
 FIELDS = ggx.LOBE.fields

@@ -6,7 +6,7 @@ from typing import Any
 
 import jax.numpy as jnp
 
-from ..scene import LAMPS
+from ..parts import LAMPS
 from ..surface import _vec
 from ..vector import Spectrum, Vec3, dot, normalise, safe_sqrt
 from ..world import World

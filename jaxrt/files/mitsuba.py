@@ -12,7 +12,7 @@ from .. import parts
 from . import mitsuba_xml
 from .mitsuba_context import Context
 from .mitsuba_lamps import LAMPS, lamp
-from .mitsuba_materials import bsdf, color
+from .mitsuba_materials import SAMPLING, bsdf, color
 from .mitsuba_nodes import OBJECTS
 from .mitsuba_sensors import integrator, sensor
 from .mitsuba_shapes import shape
@@ -85,7 +85,7 @@ def _enclosure(ctx: Context, elements: list[Element]) -> parts.Enclosure | None:
             element.fail("is a second environment; keep one")
         ctx.transform(element)  # Mitsuba takes it, and it moves nothing
         radiance = color(ctx, element, "radiance", 1.0, "radiance")
-        ctx.finish(element, {"sampling_weight": "is a matter of sampling, and has no effect here"})
+        ctx.finish(element, SAMPLING)
         found = ctx.part(element, parts.Enclosure, radiance=radiance, id=ctx.name(element, "enclosure"))
     return found
 

@@ -8,16 +8,14 @@ import numpy as np
 
 from .. import parts
 from .mitsuba_context import Context
-from .mitsuba_materials import color
+from .mitsuba_materials import SAMPLING, color
 from .mitsuba_xml import Element
-
-_SAMPLING = {"sampling_weight": "is a matter of sampling, and has no effect here"}
 
 
 def lamp(ctx: Context, element: Element, place: str) -> parts.Lamp:
     name = ctx.name(element, place)
     fields = LAMPS[element.plugin][1](ctx, element)
-    ctx.finish(element, _SAMPLING)
+    ctx.finish(element, SAMPLING)
     return ctx.part(element, LAMPS[element.plugin][0], id=name, **fields)
 
 

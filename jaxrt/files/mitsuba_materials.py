@@ -116,12 +116,14 @@ def _close(name: str, known: Iterable[str], instead: str) -> str:
     return f"did you mean {' or '.join(close)}?" if close else f"give {instead} instead"
 
 
+def _boundary(ctx: Context, element: Element, inside: str, **albedos: float) -> dict[str, Any]:
+    """Indices on both sides, `inside` by default that of this medium, and colours with their defaults."""
+    fields: dict[str, Any] = {k: _index(ctx, element, k, d) for k, d in (("int_ior", inside), ("ext_ior", "air"))}
+    return fields | {key: color(ctx, element, key, default, "reflectance") for key, default in albedos.items()}
+
+
 def _dielectric(ctx: Context, element: Element, name: str) -> dict[str, Any]:
-    fields: dict[str, Any] = {"int_ior": _index(ctx, element, "int_ior", "bk7")}
-    fields["ext_ior"] = _index(ctx, element, "ext_ior", "air")
-    for key in ("specular_reflectance", "specular_transmittance"):
-        fields[key] = color(ctx, element, key, 1.0, "reflectance")
-    return fields
+    return _boundary(ctx, element, "bk7", specular_reflectance=1.0, specular_transmittance=1.0)
 
 
 def _thin_dielectric(ctx: Context, element: Element, name: str) -> dict[str, Any]:
@@ -129,10 +131,7 @@ def _thin_dielectric(ctx: Context, element: Element, name: str) -> dict[str, Any
 
 
 def _plastic(ctx: Context, element: Element, name: str) -> dict[str, Any]:
-    fields: dict[str, Any] = {"int_ior": _index(ctx, element, "int_ior", "polypropylene")}
-    fields["ext_ior"] = _index(ctx, element, "ext_ior", "air")
-    for key, default in (("diffuse_reflectance", 0.5), ("specular_reflectance", 1.0)):
-        fields[key] = color(ctx, element, key, default, "reflectance")
+    fields = _boundary(ctx, element, "polypropylene", diffuse_reflectance=0.5, specular_reflectance=1.0)
     return {**fields, "nonlinear": ctx.boolean(element, "nonlinear", False)}
 
 
@@ -167,6 +166,10 @@ _BSDFS: dict[str, tuple[Any, Any]] = {
 }
 
 
+SAMPLING = {"sampling_weight": "is a matter of sampling, and has no effect here"}
+"""Parameters of emitters that change no picture."""
+
+
 def area_emission(ctx: Context, element: Element, place: str) -> tuple[Any, str]:
     """Radiance of an area emitter and its name: the same two for every shape that references it."""
 
@@ -177,7 +180,7 @@ def area_emission(ctx: Context, element: Element, place: str) -> tuple[Any, str]
             element.fail("has a to_world, but moves with its shape; remove it")
         name = ctx.name(element, place)
         radiance = color(ctx, element, "radiance", 1.0, "radiance")
-        ctx.finish(element, {"sampling_weight": "is a matter of sampling, and has no effect here"})
+        ctx.finish(element, SAMPLING)
         return ctx.part(element, lambda: parts.spectrum(radiance, f"{name}.radiance")), name
 
     return ctx.once(element, build)

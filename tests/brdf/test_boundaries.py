@@ -130,7 +130,7 @@ def test_a_sheet_before_black_and_its_derivative():
 
 
 def test_glass_in_a_furnace_cannot_be_seen(short_loops):
-    """Radiance 1 from all around: a ball of glass, a cube of it, plastic of albedo below 1 darker."""
+    """Radiance 1 from all around: a ball of glass and a cube of it."""
     shapes = [
         jaxrt.Sphere(center=(-1.2, 0, 0), bsdf=jaxrt.Dielectric()),
         jaxrt.Cube(to_world=moved(0.7, (1.2, 0, 0)), bsdf=jaxrt.Dielectric(int_ior=2.4)),
