@@ -177,5 +177,20 @@ def mean_and_error(batches):
     return batches.mean(0), batches.std(0, ddof=1) / np.sqrt(len(batches))
 
 
+def assert_same_picture(peer, sols, most):
+    """Pictures of a peer, by seed, and solutions of as many seeds: each value within 4.5 of its standard error (nearly
+    all), the mean within that of its own, which is at most `most` of it."""
+    theirs, their_error = mean_and_error(peer)
+    ours = np.mean([s.image.astype(np.float64) for s in sols], 0)
+    our_error = np.sqrt(np.mean([s.stderr.astype(np.float64) ** 2 for s in sols], 0) / len(sols))
+    rounding = 1e-5 * theirs + 1e-6 * theirs.mean()
+    z = (ours - theirs) / np.sqrt(our_error**2 + their_error**2 + rounding**2)
+    assert (np.abs(z) < 4.5).mean() > 0.9975
+    means = np.mean(peer, (1, 2, 3)), [s.image.mean(dtype=np.float64) for s in sols]
+    spread = np.hypot(*(mean_and_error(m)[1] for m in means))
+    assert spread < most * theirs.mean()  # or the next line says nothing
+    assert abs(ours.mean() - theirs.mean()) < 4.5 * spread + 1e-4 * theirs.mean()
+
+
 def uniform_numbers(n, seed=0):
     return jnp.asarray(np.random.default_rng(seed).random((n, 2)).astype(np.float32))

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers import assert_same_picture
 
 import jaxrt
 
@@ -71,22 +72,8 @@ def test_meshes_are_what_the_script_makes(tmp_path):
 @pytest.mark.peer
 @pytest.mark.parametrize("name", SCENES)
 def test_mitsuba_renders_the_same_picture(name):
-    """Each value within 4.5 of its standard error (nearly all), the mean within that of its own."""
     mi = pytest.importorskip("mitsuba")
     mi.set_variant("scalar_rgb")
     peer = mi.load_file(str(FOLDER / name), res=SIZE)
     runs = np.stack([np.array(mi.render(peer, spp=64, seed=k), np.float64)[..., :3] for k in range(16)])
-    theirs, their_error = runs.mean(0), runs.std(0, ddof=1) / 4
-
-    sols = [jaxrt.render(scene(name), spp=256, seed=k) for k in range(4)]
-    ours = np.mean([s.image.astype(np.float64) for s in sols], 0)
-    our_error = np.sqrt(np.mean([s.stderr.astype(np.float64) ** 2 for s in sols], 0) / 4)
-
-    rounding = 1e-5 * theirs + 1e-6 * theirs.mean()
-    z = (ours - theirs) / np.sqrt(our_error**2 + their_error**2 + rounding**2)
-    assert (np.abs(z) < 4.5).mean() > 0.9975
-    spread = np.hypot(
-        runs.mean((1, 2, 3)).std(ddof=1) / 4, np.std([s.image.mean(dtype=np.float64) for s in sols], ddof=1) / 2
-    )
-    assert spread < 0.015 * theirs.mean()  # or the next line says nothing
-    assert abs(ours.mean() - theirs.mean()) < 4.5 * spread + 1e-4 * theirs.mean()
+    assert_same_picture(runs, [jaxrt.render(scene(name), spp=256, seed=k) for k in range(4)], most=0.015)
