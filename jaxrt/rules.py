@@ -52,7 +52,7 @@ def met_share(world: World, x: SurfacePoint, o: Vec3, d: Vec3, pdf: Any, delta: 
 def reflected(world: World, at: Shading, w: Vec3) -> Spectrum:
     """f_r cosθ for a direction of the world."""
     wi = at.to_local(w)
-    return brdf.eval(world.plan.lobes, at.material, wi, at.wo) * wi.z
+    return brdf.eval(world.plan.lobes, at.material, wi, at.wo) * brdf.cosine(world.plan.lobes, wi)
 
 
 def reflection_density(world: World, at: Shading, w: Vec3) -> Any:
@@ -60,15 +60,19 @@ def reflection_density(world: World, at: Shading, w: Vec3) -> Any:
 
 
 def reflection_node(world: World, at: Shading, s: Stream | Drawn, pair: int = 0) -> Node:
-    """A direction drawn from the BRDF. Delta directions move with the surface, others stay fixed in space."""
+    """A direction drawn from the BRDF, by pair `pair` and one number of `pair + 2`.
+
+    Delta directions move with the surface, others stay fixed in space.
+    """
     lobes, m = world.plan.lobes, at.material
-    local, delta = world.settle(brdf.sample(lobes, m, at.wo, s.pair_at(pair)))
+    u = (*s.pair_at(pair), s.pair_at(pair + 2)[0]) if brdf.chooses(lobes) else s.pair_at(pair)
+    local, delta = world.settle(brdf.sample(lobes, m, at.wo, u))
     attached = at.to_world(local)
     w = sg(attached)
     wi = at.to_local(w)
     p = sg(brdf.pdf(lobes, m, wi, at.wo))
     ok = p > 0
-    weight = brdf.eval(lobes, m, wi, at.wo) * jnp.where(ok, wi.z / jnp.where(ok, p, 1.0), 0.0)
+    weight = brdf.eval(lobes, m, wi, at.wo) * jnp.where(ok, brdf.cosine(lobes, wi) / jnp.where(ok, p, 1.0), 0.0)
     if brdf.has_delta(lobes):
         weight = where(delta, brdf.delta_weight(lobes, m, local, at.wo), weight)
         w = where(delta, attached, w)

@@ -17,8 +17,8 @@ def eval(m: Any, wi: Vec3, wo: Vec3) -> Spectrum:
     return m.reflectance * _INV_PI
 
 
-def sample(m: Any, wo: Vec3, u: tuple[Any, Any]) -> Vec3:
-    return cosine_hemisphere(u)
+def sample(m: Any, wo: Vec3, u: tuple[Any, ...]) -> Vec3:
+    return cosine_hemisphere(u[:2])
 
 
 def pdf(m: Any, wi: Vec3, wo: Vec3) -> Any:

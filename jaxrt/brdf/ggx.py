@@ -57,7 +57,7 @@ def _bound(m: Any, wo: Vec3) -> Any:
     return (1.0 - a2) * s2 / (s2 + a2 * wo.z * wo.z)
 
 
-def sample(m: Any, wo: Vec3, u: tuple[Any, Any]) -> Vec3:
+def sample(m: Any, wo: Vec3, u: tuple[Any, ...]) -> Vec3:
     ax, ay = m.alpha
     stretched = normalise(Vec3(ax * wo.x, ay * wo.y, wo.z))
     c, sn = circle(u[0])

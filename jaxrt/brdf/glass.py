@@ -28,7 +28,7 @@ def _reflected_or(m: Any, reflectance: Any, transmitted: Any, wi: Vec3, wo: Vec3
     return where(wi.z * wo.z > 0, m.reflectance * _over_chance(reflectance), through)
 
 
-def _solid(m: Any, wo: Vec3, u: tuple[Any, Any]) -> Vec3:
+def _solid(m: Any, wo: Vec3, u: tuple[Any, ...]) -> Vec3:
     reflectance, t, ratio = dielectric(m.ior, wo.z)
     through = Vec3(-wo.x / ratio, -wo.y / ratio, jnp.where(wo.z < 0, t, -t))
     return where(u[0] < sg(reflectance), mirror.sample(m, wo, u), through)
@@ -45,7 +45,7 @@ def _both_faces(m: Any, wo: Vec3) -> Any:
     return jnp.where(r < 1.0, 2.0 * r / (1.0 + r), r)
 
 
-def _thin(m: Any, wo: Vec3, u: tuple[Any, Any]) -> Vec3:
+def _thin(m: Any, wo: Vec3, u: tuple[Any, ...]) -> Vec3:
     return where(u[0] < sg(_both_faces(m, wo)), mirror.sample(m, wo, u), -wo)
 
 
@@ -53,7 +53,7 @@ def _thin_weight(m: Any, wi: Vec3, wo: Vec3) -> Spectrum:
     return _reflected_or(m, _both_faces(m, wo), 1.0, wi, wo)
 
 
-def _nothing(m: Any, wo: Vec3, u: tuple[Any, Any]) -> Vec3:
+def _nothing(m: Any, wo: Vec3, u: tuple[Any, ...]) -> Vec3:
     return -wo
 
 

@@ -19,7 +19,7 @@ def _no_pdf(m: Any, wi: Vec3, wo: Vec3) -> Any:
     return wo.z * 0.0
 
 
-def _every(m: Any, wo: Vec3, u: tuple[Any, Any]) -> Any:
+def _every(m: Any, wo: Vec3, u: tuple[Any, ...]) -> Any:
     return jnp.ones(jnp.shape(wo.z), bool)
 
 
@@ -27,18 +27,22 @@ def _every(m: Any, wo: Vec3, u: tuple[Any, Any]) -> Any:
 class Lobe:
     """A lobe's number in the material table, the fields it reads, and its functions.
 
-    `eval` and `pdf` may assume cosines above 0. A lobe with a delta part has its `weight`
+    `eval` and `pdf` may assume cosines above 0, unless the lobe is `translucent`: it scatters light through the
+    surface, and has a value for directions on either side. A lobe with a delta part has its `weight`
     (radiance per incident radiance, over the chance of that direction), and says which samples are the delta's: all
-    of them, where it has nothing else. Densities are the chance of the rest times its density.
+    of them, where it has nothing else. Densities are the chance of the rest times its density. `u` are two uniform
+    numbers for a direction, and one more where a lobe of the plan `chooses`. `transmits`: some light goes through.
     """
 
     name: str
     number: int
     fields: tuple[str, ...]
-    sample: Callable[[Any, Vec3, tuple[Any, Any]], Vec3]
+    sample: Callable[[Any, Vec3, tuple[Any, ...]], Vec3]
     eval: Callable[[Any, Vec3, Vec3], Spectrum] = _no_eval
     pdf: Callable[[Any, Vec3, Vec3], Any] = _no_pdf
     weight: Callable[[Any, Vec3, Vec3], Spectrum] = _no_eval
     delta: bool = False
-    is_delta: Callable[[Any, Vec3, tuple[Any, Any]], Any] = _every
+    is_delta: Callable[[Any, Vec3, tuple[Any, ...]], Any] = _every
     transmits: bool = False
+    translucent: bool = False
+    chooses: bool = False

@@ -9,7 +9,7 @@ from .fresnel import conductor
 from .lobe import Lobe
 
 
-def sample(m: Any, wo: Vec3, u: tuple[Any, Any]) -> Vec3:
+def sample(m: Any, wo: Vec3, u: tuple[Any, ...]) -> Vec3:
     return Vec3(-wo.x, -wo.y, wo.z)
 
 

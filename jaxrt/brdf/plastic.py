@@ -25,11 +25,11 @@ def _chance(m: Any, wo: Vec3) -> Any:
     return sg(shine / (shine + rest))
 
 
-def is_delta(m: Any, wo: Vec3, u: tuple[Any, Any]) -> Any:
+def is_delta(m: Any, wo: Vec3, u: tuple[Any, ...]) -> Any:
     return u[0] < _chance(m, wo)
 
 
-def sample(m: Any, wo: Vec3, u: tuple[Any, Any]) -> Vec3:
+def sample(m: Any, wo: Vec3, u: tuple[Any, ...]) -> Vec3:
     chance = _chance(m, wo)
     again = (u[0] - chance) / jnp.where(chance < 1.0, 1.0 - chance, 1.0)
     paint = cosine_hemisphere((jnp.clip(again, 0.0, 1.0 - 2.0**-24), u[1]))

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from ..rules import Node, met_share, reflection_node
-from ..sampling.sobol import Drawn, Stream
+from ..sampling.sobol import Stream
 from ..surface import SurfacePoint, _row, is_diffuse, leave, radiance_of, surface_point
 from ..vector import Spectrum, Vec3, where
 from ..world import World
@@ -77,7 +77,7 @@ class Stored(eqx.Module):
         def look(m: Any, carry: Any) -> Any:
             total, chosen, count = carry
             sub = s.node(m, n) if n > 1 else s
-            node = world.settle(reflection_node(world, at, Drawn((sub.pair_at(0),))))
+            node = world.settle(reflection_node(world, at, sub))
             o = world.settle(leave(world, x, node.w))
             face = world.settle(world.search.closest(o, node.w))
             y = surface_point(world, face, o, node.w)

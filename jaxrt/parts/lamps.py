@@ -1,0 +1,85 @@
+"""Lamps without extent, and the enclosure. Emission of surfaces belongs to their shapes."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+
+from .checks import LARGEST, check, scalar, spectrum, unit
+
+LAMPS = ("point", "spot", "directional")
+"""Kinds of lamps without extent, in the order of their numbers in tables."""
+
+
+@dataclasses.dataclass
+class Point:
+    """A lamp at a point, of `intensity` (W·sr⁻¹) in all directions."""
+
+    position: Any = (0.0, 0.0, 0.0)
+    intensity: Any = 1.0
+    id: str = ""
+
+    def __post_init__(self):
+        name = self.id or "point"
+        self.position = np.asarray(self.position, np.float64)
+        good = self.position.shape == (3,) and bool((np.abs(self.position) <= LARGEST).all())
+        check(good, f"{name}.position", "is no point; give three finite numbers")
+        self.intensity = spectrum(self.intensity, f"{name}.intensity")
+
+    def row(self) -> np.ndarray:
+        return np.array([*self.position, 0, 0, 1, 0, 0, LAMPS.index("point")], float)
+
+
+@dataclasses.dataclass
+class Spot(Point):
+    """A point lamp that shines into a cone around `direction`: `intensity` up to `beam_width` (degrees from its axis),
+    from there on less, in proportion to the angle, to nothing at `cutoff_angle`."""
+
+    direction: Any = (0.0, 0.0, 1.0)
+    cutoff_angle: float = 20.0
+    beam_width: float | None = None
+
+    def __post_init__(self):
+        super().__post_init__()
+        name = self.id or "spot"
+        self.direction = unit(self.direction, f"{name}.direction")
+        self.cutoff_angle = scalar(self.cutoff_angle, f"{name}.cutoff_angle", least=0.0, most=180.0)
+        width = 0.75 * self.cutoff_angle if self.beam_width is None else self.beam_width
+        self.beam_width = scalar(width, f"{name}.beam_width", least=0.0, most=self.cutoff_angle)
+
+    def row(self) -> np.ndarray:
+        cutoff, beam = np.radians(self.cutoff_angle), np.radians(self.beam_width or 0.0)
+        return np.array([*self.position, *self.direction, cutoff, beam, LAMPS.index("spot")], float)
+
+
+@dataclasses.dataclass
+class Directional:
+    """Light from infinitely far away along `direction`, of `irradiance` (W·m⁻²) on a surface across it."""
+
+    direction: Any = (0.0, 0.0, 1.0)
+    irradiance: Any = 1.0
+    id: str = ""
+
+    def __post_init__(self):
+        name = self.id or "directional"
+        self.direction = unit(self.direction, f"{name}.direction")
+        self.irradiance = spectrum(self.irradiance, f"{name}.irradiance")
+
+    def row(self) -> np.ndarray:
+        return np.array([0, 0, 0, *self.direction, 0, 0, LAMPS.index("directional")], float)
+
+
+Lamp = Point | Spot | Directional
+
+
+@dataclasses.dataclass
+class Enclosure:
+    """The surface around the scene on which every ray lands: it emits `radiance` and reflects nothing."""
+
+    radiance: Any = 0.0
+    id: str = ""
+
+    def __post_init__(self):
+        self.radiance = spectrum(self.radiance, f"{self.id or 'enclosure'}.radiance")

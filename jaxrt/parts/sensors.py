@@ -1,0 +1,82 @@
+"""Cameras and their films."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any, Literal
+
+import numpy as np
+
+from .checks import check, matrix, scalar
+
+
+@dataclasses.dataclass
+class Film:
+    """width x height pixels; `filter` is box, tent or gaussian; `radius` in pixels, `stddev` for gaussian.
+
+    `crop`: the picture is the part of a larger film that starts so many pixels (x, y) from its upper left corner, and
+    that film's width and height.
+    """
+
+    width: int = 768
+    height: int = 576
+    filter: Literal["box", "tent", "gaussian"] = "gaussian"
+    radius: float | None = None
+    stddev: float = 0.5
+    crop: tuple[int, int, int, int] | None = None
+
+    def __post_init__(self):
+        for key in ("width", "height"):
+            n = getattr(self, key)
+            check(int(n) == n and 0 < n <= 1 << 15, f"film.{key}", f"is {n}; give a whole number from 1 to 32768")
+            setattr(self, key, int(n))
+        if self.crop is not None:
+            x, y, w, h = self.crop
+            inside = 0 <= x and x + self.width <= w and 0 <= y and y + self.height <= h
+            check(inside, "film.crop", f"goes beyond the film of {w} x {h} pixels; make it smaller or move it")
+        known = self.filter in ("box", "tent", "gaussian")
+        check(known, "film.filter", f"{self.filter!r} is not box, tent or gaussian")
+        check(np.isfinite(self.stddev) and self.stddev > 0, "film.stddev", f"is {self.stddev}; give a positive number")
+        if self.radius is None:
+            self.radius = {"box": 0.5, "tent": 1.0, "gaussian": 4 * self.stddev}[self.filter]
+        check(np.isfinite(self.radius) and self.radius > 0, "film.radius", f"is {self.radius}; give a positive number")
+
+
+@dataclasses.dataclass
+class Sensor:
+    """A camera at the origin of its own space, looking along +z with +y up (so +x is left in the picture).
+
+    kind: perspective, thinlens or orthographic. `fov` in degrees along `fov_axis` (x, y, smaller,
+    larger or diagonal); `aperture_radius` and `focus_distance` for thinlens. An orthographic camera
+    sees [-1, 1] along x of its own space. `principal_point`: what the film is shifted by, in its widths and heights.
+    """
+
+    kind: Literal["perspective", "thinlens", "orthographic"] = "perspective"
+    to_world: Any = dataclasses.field(default_factory=lambda: np.eye(4))
+    fov: float = 50.0
+    fov_axis: str = "x"
+    near: float = 1e-2
+    far: float = 1e4
+    aperture_radius: float = 0.0
+    focus_distance: float = 1.0
+    principal_point: tuple[float, float] = (0.0, 0.0)
+    film: Film = dataclasses.field(default_factory=Film)
+    id: str = ""
+
+    def __post_init__(self):
+        name = self.id or "sensor"
+        self.to_world = matrix(self.to_world, f"{name}.to_world")
+        check(self.kind in ("perspective", "thinlens", "orthographic"), name, f"unknown kind {self.kind!r}")
+        axes = ("x", "y", "smaller", "larger", "diagonal")
+        check(self.fov_axis in axes, f"{name}.fov_axis", f"{self.fov_axis!r} is not one of {', '.join(axes)}")
+        self.fov = scalar(self.fov, f"{name}.fov")
+        check(0 < self.fov < 180, f"{name}.fov", f"is {self.fov:g}; give an angle between 0 and 180 degrees")
+        self.near, self.far = scalar(self.near, f"{name}.near_clip"), scalar(self.far, f"{name}.far_clip")
+        check(0 < self.near < self.far, f"{name}.near_clip", "is not between 0 and far_clip")
+        self.aperture_radius = scalar(self.aperture_radius, f"{name}.aperture_radius", least=0.0)
+        self.focus_distance = scalar(self.focus_distance, f"{name}.focus_distance", least=0.0)
+        check(self.focus_distance > 0, f"{name}.focus_distance", "is not positive")
+        shift = np.asarray(self.principal_point, float)
+        check(
+            shift.shape == (2,) and bool(np.isfinite(shift).all()), f"{name}.principal_point", "is two finite numbers"
+        )
