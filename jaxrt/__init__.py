@@ -28,6 +28,8 @@ if TYPE_CHECKING:
         sub,
     )
     from .parts import (
+        Bitmap,
+        Checkerboard,
         Conductor,
         Cube,
         Cylinder,
@@ -41,6 +43,7 @@ if TYPE_CHECKING:
         Instance,
         Integrator,
         Mesh,
+        MeshAttribute,
         Null,
         Plastic,
         Point,
@@ -66,8 +69,8 @@ _HOMES = {
     "effects": "Plan plan",
     "loading": "load",
     "operators": "D G K T add adjoint compose emission estimate inner neumann norm psi sub",
-    "parts": "Conductor Cube Cylinder Dielectric Diffuse Directional Disk Enclosure Film Group Instance Integrator Mesh"
-    " Null Plastic Point Rectangle SceneError Sensor Sphere Spot TwoSided",
+    "parts": "Bitmap Checkerboard Conductor Cube Cylinder Dielectric Diffuse Directional Disk Enclosure Film Group"
+    " Instance Integrator Mesh MeshAttribute Null Plastic Point Rectangle SceneError Sensor Sphere Spot TwoSided",
     "rules": "BrdfRule LightRule MisRule QuadratureRule",
     "sampling.sobol": "Stream",
     "scene": "Scene params with_params",
@@ -95,7 +98,9 @@ def __dir__() -> list[str]:
 
 
 __all__ = [
+    "Bitmap",
     "BrdfRule",
+    "Checkerboard",
     "Conductor",
     "Cube",
     "Cylinder",
@@ -114,6 +119,7 @@ __all__ = [
     "K",
     "LightRule",
     "Mesh",
+    "MeshAttribute",
     "MisRule",
     "Null",
     "Plan",

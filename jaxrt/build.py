@@ -9,8 +9,10 @@ from typing import Any
 import jax
 import numpy as np
 
-from .brdf import LOBES, SPECTRA, MaterialColumns
+from .brdf import SPECTRA
+from .coordinates import NONE
 from .effects import plan
+from .pack import Materials, Names, Textures, spread
 from .parts import (
     Cube,
     Cylinder,
@@ -29,17 +31,19 @@ from .parts import (
     Shape,
     Sphere,
     Spot,
+    Texture,
     TwoSided,
 )
-from .scene import KINDS, Scene, SensorStructure, Slot, Structure
+from .scene import KINDS, Scene, SensorStructure, Structure
 
+SQUARE = np.array([[0.0, 0], [1, 0], [1, 1], [0, 1]])
 _SQUARE = [[-1, -1, 0, 2, 0, 0, 0, 2, 0]]  # corner, first edge, second edge
-_CUBE = [  # the first edge of each side runs as Mitsuba's u
+_CUBE = [  # the first edge of each side runs as Mitsuba's u, the second against its v
     [1, -1, 1, 0, 2, 0, -2, 0, 0],
-    [-1, -1, -1, 0, 2, 0, 2, 0, 0],
+    [1, 1, -1, 0, -2, 0, -2, 0, 0],
     [1, -1, -1, 0, 2, 0, 0, 0, 2],
     [-1, -1, 1, 0, 2, 0, 0, 0, -2],
-    [-1, 1, 1, 2, 0, 0, 0, 0, -2],
+    [1, 1, -1, -2, 0, 0, 0, 0, 2],
     [1, -1, -1, 0, 0, 2, -2, 0, 0],
 ]
 _DISK = [[0, 0, 0, 1, 0, 0, 0, 1, 0]]
@@ -61,30 +65,6 @@ def _padded(a: np.ndarray, n: int, fill: Any = 0) -> np.ndarray:
     return out
 
 
-def _spread(value: np.ndarray, channels: int, name: str) -> np.ndarray:
-    if value.size not in (1, channels):
-        raise SceneError(f"{name}: has {value.size} channels where the scene has {channels}; give 1 or {channels}")
-    return np.broadcast_to(value, (channels,))
-
-
-class _Names:
-    """Unique names and the slots behind them."""
-
-    def __init__(self) -> None:
-        self.slots: dict[str, Slot] = {}
-        self.taken: set[str] = set()
-
-    def part(self, wanted: str) -> str:
-        name, k = wanted, 1
-        while name in self.taken:
-            name, k = f"{wanted}_{k}", k + 1
-        self.taken.add(name)
-        return name
-
-    def add(self, name: str, leaf: str, row: int | tuple[int, int], columns=None, one: bool = False) -> None:
-        self.slots[name] = Slot(leaf, row, columns, one)
-
-
 def _patches(shape: Shape) -> tuple[str, np.ndarray]:
     if isinstance(shape, Rectangle):
         return "parallelogram", np.array(_SQUARE, float)
@@ -99,33 +79,6 @@ def _patches(shape: Shape) -> tuple[str, np.ndarray]:
     raise SceneError(f"{shape.id or shape}: is not a shape that jaxrt knows")
 
 
-def _material_rows(shapes: Sequence[Shape], channels: int, names: _Names) -> tuple[np.ndarray, dict[int, int]]:
-    """Rows of the material table; row 0 is black. One row for each distinct BSDF object."""
-    columns = MaterialColumns(channels)
-    rows, index = [columns.row(LOBES["diffuse"].number)], {}
-    for shape in shapes:
-        outer = shape.bsdf
-        if id(outer) in index:
-            continue
-        inner: Any = outer.bsdf if isinstance(outer, TwoSided) else outer
-        name = names.part(outer.id or inner.id or (f"{shape.id}.bsdf" if shape.id else "bsdf"))
-        row = len(rows)
-        index[id(outer)] = row
-        if not hasattr(inner, "row"):
-            raise SceneError(f"{name}: {type(inner).__name__} is not a reflectance that jaxrt knows")
-        lobe, fields, parameters = inner.row()
-        shown = {field: key for key, field in parameters.items()}
-        fields = {
-            f: _spread(v, channels, f"{name}.{shown.get(f, f)}") if f in SPECTRA else v for f, v in fields.items()
-        }
-        rows.append(columns.row(LOBES[lobe].number, isinstance(outer, TwoSided), **fields))
-        for key, field in parameters.items():
-            names.add(
-                f"{name}.{key}", "materials", row, columns[field], field not in SPECTRA and np.ptp(fields[field]) == 0
-            )
-    return np.array(rows), index
-
-
 def _as_mesh(shape: Shape) -> Mesh:
     """A rectangle or cube as triangles, with Mitsuba's texture coordinates."""
     if isinstance(shape, Mesh):
@@ -137,7 +90,7 @@ def _as_mesh(shape: Shape) -> Mesh:
     return Mesh(
         vertices=corners.reshape(-1, 3),
         faces=four[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 3),
-        uvs=np.tile([[0.0, 0], [1, 0], [1, 1], [0, 1]], (len(rows), 1)),
+        uvs=np.tile(SQUARE if isinstance(shape, Rectangle) else SQUARE * [1, -1] + [0, 1], (len(rows), 1)),
         **{k: getattr(shape, k) for k in ("id", "to_world", "bsdf", "flip_normals")},
     )
 
@@ -174,11 +127,15 @@ def build(
     bright = [getattr(lamp, key) for lamp, key in zip(lamps, keys, strict=True)]
     longest = max([enclosure.radiance.size] + [v.size for s in shapes for v in _spectra(s)] + [v.size for v in bright])
     c = longest if channels is None else channels
-    names = _Names()
+    names = Names()
     ids = [names.part(s.id or type(s).__name__.lower()) for s in shapes]
-    materials, material_of = _material_rows(shapes, c, names)
+    textures = Textures(c, names)
+    materials = Materials(c, names, textures)
+    firsts = np.cumsum([0, *(len(s.faces) if isinstance(s, Mesh) else 0 for s in shapes)])
+    material_of = [materials.row(s.bsdf, s, int(first)) for s, first in zip(shapes, firsts[:-1], strict=True)]
 
-    radiance, emitter_of = [np.zeros(c), _spread(enclosure.radiance, c, "enclosure.radiance")], {}
+    radiance, emitter_of = [np.zeros(c), spread(enclosure.radiance, c, "enclosure.radiance")], {}
+    radiance_map = [0, 0]
     names.add(f"{names.part(enclosure.id or 'enclosure')}.radiance", "radiance", 1)
     by_kind: dict[str, list[tuple[int, np.ndarray]]] = {k: [] for k in KINDS}
     vertices, normals, uvs, vertex_of, first = [], [], [], [], 0
@@ -188,15 +145,20 @@ def build(
         emitter = 0
         if shape.emission is not None:
             wanted = shape.emission_id or f"{ids[k]}.emitter"
-            value = _spread(shape.emission, c, f"{wanted}.radiance")
-            if wanted not in emitter_of:
-                emitter_of[wanted] = len(radiance)
-                names.add(f"{names.part(wanted)}.radiance", "radiance", len(radiance))
+            number, value = 0, shape.emission
+            if isinstance(value, Texture):
+                number, value = textures.number(value, f"{wanted}.radiance", shape, int(firsts[k]), False)
+            value = spread(value, c, f"{wanted}.radiance")
+            if (wanted, number) not in emitter_of:
+                emitter_of[wanted, number] = len(radiance)
+                if not number:
+                    names.add(f"{names.part(wanted)}.radiance", "radiance", len(radiance))
                 radiance.append(value)
-            elif (radiance[emitter_of[wanted]] != value).any():
+                radiance_map.append(number)
+            elif (radiance[emitter_of[wanted, number]] != value).any():
                 raise SceneError(f"{ids[k]}: emitter {wanted} has another radiance elsewhere; give another emission_id")
-            emitter = emitter_of[wanted]
-        finish = (material_of[id(shape.bsdf)], emitter)
+            emitter = emitter_of[wanted, number]
+        finish = (material_of[k], emitter)
         if finish not in finishes:
             finishes.append(finish)
         shape_finish.append(finishes.index(finish))
@@ -205,7 +167,7 @@ def build(
             by_kind["triangle"].append((k, shape.faces + first))
             vertices.append(shape.vertices)
             normals.append(np.zeros((n, 3)) if shape.normals is None else shape.normals)
-            uvs.append(np.zeros((n, 2)) if shape.uvs is None else shape.uvs)
+            uvs.append(np.full((n, 2), NONE) if shape.uvs is None else shape.uvs)
             names.add(f"{ids[k]}.vertices", "vertices", (first, first + n))
             if shape.normals is not None:
                 names.add(f"{ids[k]}.normals", "normals", (first, first + n))
@@ -221,7 +183,8 @@ def build(
         name = names.part(lamp.id or type(lamp).__name__.lower())
         names.add(f"{name}.{key}", "radiance", len(radiance))
         lamp_radiance.append(len(radiance))
-        radiance.append(_spread(value, c, f"{name}.{key}"))
+        radiance.append(spread(value, c, f"{name}.{key}"))
+        radiance_map.append(0)
         if isinstance(lamp, Point):
             names.add(f"{name}.position", "lamps", k, (0, 3))
         if isinstance(lamp, (Spot, Directional)):
@@ -285,8 +248,12 @@ def build(
         flip=f([-1.0 if s.flip_normals else 1.0 for s in shapes], (), rows, 1.0),
         shape_finish=i(shape_finish, rows),
         finishes=i(finishes, bucket(len(finishes))),
-        materials=f(materials, (materials.shape[1],), bucket(len(materials))),
+        materials=f(materials.rows, (materials.columns.width,), bucket(len(materials.rows))),
         radiance=f(radiance, (c,), bucket(len(radiance))),
+        radiance_map=i(radiance_map, bucket(len(radiance))),
+        texels=f(join(textures.texels, c), (c,), bucket(sum(map(len, textures.texels)))),
+        textures=i(np.array(textures.layout), bucket(len(textures.layout))),
+        to_uv=f(textures.to_uv, (6,), bucket(len(textures.layout))),
         instances=f([s.to_world for s in instances] or np.zeros((0, 4, 4)), (4, 4), bucket(len(instances)), np.eye(4)),
         instance_group=i(group_of, bucket(len(instances)), -1),
         groups=i(np.array(groups, int).reshape(-1, 2), bucket(len(groups)), (sum(blocks), 0)),
@@ -324,6 +291,8 @@ _LOCAL = {
 
 
 def _spectra(shape: Shape) -> list[np.ndarray]:
+    """One value of each spectrum of a shape, for its number of channels."""
     bsdf: Any = shape.bsdf.bsdf if isinstance(shape.bsdf, TwoSided) else shape.bsdf
     found = [v for k, v in bsdf.row().fields.items() if k in SPECTRA] if hasattr(bsdf, "row") else []
-    return found + ([shape.emission] if shape.emission is not None else [])
+    found += [shape.emission] if shape.emission is not None else []
+    return [v.mean() if isinstance(v, Texture) else v for v in found]

@@ -15,10 +15,11 @@ from typing import Any
 import jax
 import numpy as np
 
-from .brdf import ALBEDOS, LOBES, SPECTRA, MaterialColumns
+from .brdf import ALBEDOS, LOBES, MAPPED, SPECTRA, MaterialColumns
 from .intersect import BACKENDS, choose, refusal
 from .near_lamps import solid_angle_pays
 from .parts import LAMPS, SceneError
+from .parts.textures import TEXTURES
 from .scene import CAMERAS, KINDS, Scene
 
 
@@ -35,7 +36,11 @@ class Plan:
     lobes: tuple[str, ...]
     fields: tuple[str, ...]
     twosided: str  # none, some or all
-    anisotropic: bool
+    tangents: bool  # ∂p/∂u at each hit
+    bumps: bool  # and ∂p/∂v
+    coordinates: bool  # on surfaces, for textures and for tangents of curved ones
+    textures: tuple[str, ...]  # kinds of them
+    textured_lights: bool
     smooth_normals: bool
     light_kinds: tuple[str, ...]  # kinds of faces that emit
     lamp_kinds: tuple[str, ...]  # of lamps without extent
@@ -64,6 +69,11 @@ class Plan:
     @property
     def lights(self) -> bool:
         return bool(self.light_kinds or self.lamp_kinds)
+
+    @property
+    def mapped(self) -> tuple[str, ...]:
+        """Fields of materials that have textures."""
+        return tuple(f.removeprefix("map:") for f in self.fields if f.startswith("map:"))
 
     def __str__(self) -> str:
         width = max(len(name) for name, _, _ in self.reasons)
@@ -103,13 +113,22 @@ class _View:
 def _grey(view: _View) -> bool:
     if view.scene.channels == 1:
         return True
-    if not (view.fixed("materials") and view.fixed("radiance")):
+    if not all(view.fixed(leaf) for leaf in ("materials", "radiance", "texels")):
         return False
-    spectra = [view.field(f) for f in SPECTRA] + [view.array["radiance"]]
+    spectra = [view.field(f) for f in SPECTRA] + [view.array["radiance"], np.asarray(view.scene.texels)]
     same = all(bool((s == s[:, :1]).all()) for s in spectra)
     if same:
         view.assumes.append(("*", "every spectrum is grey"))
     return same
+
+
+def _carriers(kind: str, layout: np.ndarray, mapped: list[str], view: _View) -> str:
+    """Which parameters have textures of a kind."""
+    of_kind = np.flatnonzero(layout[:, 0] == TEXTURES.index(kind))
+    names = [f for f in mapped if np.isin(view.field(f"map:{f}"), of_kind[of_kind > 0]).any()]
+    if np.isin(np.asarray(view.scene.radiance_map)[view.radiance_rows], of_kind[of_kind > 0]).any():
+        names.append("radiance")
+    return f"on {', '.join(names)}" if names else "no parameter has one"
 
 
 def plan(scene: Scene, free: str | Iterable[str] | None = (), *, backend: str | None = None, **overrides: bool) -> Plan:
@@ -131,6 +150,12 @@ def plan(scene: Scene, free: str | Iterable[str] | None = (), *, backend: str | 
     alpha = view.field("alpha")[np.isin(view.field("lobe")[:, 0].astype(int), rough)]
     anisotropic = bool((alpha[:, 0] != alpha[:, 1]).any())
     grey = _grey(view)
+    mapped = [f for f in MAPPED if view.field(f"map:{f}").any()]
+    layout, used = np.asarray(scene.textures), np.asarray(scene.radiance_map)[view.radiance_rows]
+    textured_lights = bool(used.any())
+    numbers = np.concatenate([used, *(view.field(f"map:{f}").ravel() for f in mapped)]).astype(int)
+    textures = tuple(k for k in TEXTURES if TEXTURES.index(k) in layout[numbers[numbers > 0], 0])
+    anisotropic |= bool((lambda a: a[:, 0] != a[:, 1])(view.field("map:alpha")).any())
 
     shape_emitter = view.array["finishes"][view.array["shape_finish"], 1]
     dark = {r for r in view.radiance_rows if view.fixed("radiance", r) and not view.array["radiance"][r].any()}
@@ -142,7 +167,7 @@ def plan(scene: Scene, free: str | Iterable[str] | None = (), *, backend: str | 
     kinds_of_lights = {KINDS[k] for k in np.searchsorted(np.cumsum(scene.blocks), lights, side="right")}
     if any(r > 1 for r in dark):
         view.assumes.append(("*.radiance", "emitters of radiance 0 stay dark"))
-    bounces = any(view.field(f).any() for f in ALBEDOS) or not view.fixed("materials")
+    bounces = any(view.field(f).any() for f in ALBEDOS) or not (view.fixed("materials") and view.fixed("texels"))
     if not bounces:
         view.assumes.append(("*.*reflectance, *.*transmittance", "each stays 0"))
     smooth = bool(np.abs(view.normals).any())
@@ -189,6 +214,7 @@ def plan(scene: Scene, free: str | Iterable[str] | None = (), *, backend: str | 
         ("instances", sizes.size > 0, f"{sizes.size} of {sizes.sum()} triangles together"),
         ("twosided", twosided != "none", f"{twosided} of the materials"),
         ("anisotropic", chosen["anisotropic"], say(anisotropic, "alpha_u differs from alpha_v", "no such material")),
+        *((f"texture:{k}", k in textures, _carriers(k, layout, mapped, view)) for k in TEXTURES),
         ("smooth_normals", chosen["smooth_normals"], say(smooth, "a mesh has vertex normals", "all faces are flat")),
         ("area_light", chosen["area_light"], f"{n_lights} emitting faces"),
         *((k, k in lamps_in, "lamps without extent" if k in lamp_kinds else "no such lamp") for k in LAMPS),
@@ -203,6 +229,8 @@ def plan(scene: Scene, free: str | Iterable[str] | None = (), *, backend: str | 
         *((f"film:{k}", k in films, used(k in films, "film")) for k in ("box", "tent", "gaussian")),
     ]
     wanted = {f for name in lobes for f in LOBES[name].fields}
+    wanted |= {f"map:{f}" for f in mapped if f in wanted}
+    curved = any(k in kinds for k in KINDS[2:])
     if len(lobes) > 1:
         wanted.add("lobe")
     if twosided == "some":
@@ -213,7 +241,11 @@ def plan(scene: Scene, free: str | Iterable[str] | None = (), *, backend: str | 
         lobes=lobes,
         fields=tuple(f for f in view.columns.at if f in wanted),
         twosided=twosided,
-        anisotropic=chosen["anisotropic"],
+        tangents=chosen["anisotropic"],
+        bumps=False,
+        coordinates=bool(textures) or (chosen["anisotropic"] and curved),
+        textures=textures,
+        textured_lights=textured_lights,
         smooth_normals=chosen["smooth_normals"],
         light_kinds=tuple(k for k in KINDS if k in kinds_of_lights) if sampled else (),
         lamp_kinds=lamps_in,

@@ -25,6 +25,9 @@ KINDS = ("triangle", "parallelogram", "disk", "sphere", "cylinder")
 """Kinds of faces, in the order in which faces are numbered. A face is a surface that a ray meets in one piece."""
 
 
+FACE = {"n": 0, "height": 3, "side": 4, "finish": 5, "density": 6, "u": 7, "v": 11, "extra": 15}
+"""Columns of `World.faces`. Of a curved face: n is its centre (or foot), height its radius, u its axis."""
+
 CAMERAS = ("perspective", "thinlens", "orthographic")
 
 
@@ -36,6 +39,7 @@ class Slot:
     row: int | tuple[int, int]
     columns: tuple[int, int] | None = None
     one: bool = False
+    shape: tuple[int, ...] | None = None  # how its value is shown, where not as it is stored
 
     @property
     def index(self) -> tuple[Any, ...]:
@@ -112,6 +116,10 @@ class Scene(eqx.Module):
     finishes: Int32[Array, "Q 2"]  # (row of materials, row of radiance)
     materials: Float[Array, "M columns"]
     radiance: Float[Array, "E channels"]  # row 0: none, row 1: the enclosure, then area lights
+    radiance_map: Int32[Array, " E"]  # the texture of each, 0 for none
+    texels: Float[Array, "T channels"]  # values of all textures
+    textures: Int32[Array, "X 6"]  # see `texture.LAYOUT`; row 0 is none
+    to_uv: Float[Array, "X 6"]
     instances: Float[Array, "I 4 4"]  # places of groups in the world
     instance_group: Int32[Array, " I"]  # -1 for padding
     groups: Int32[Array, "G 2"]  # first triangle and how many; they follow those that `counts` counts
@@ -168,7 +176,7 @@ def params(scene: Scene) -> dict[str, Array]:
     out = {}
     for name, slot in scene.structure.slots:
         value = getattr(scene, slot.leaf)[slot.index]
-        out[name] = value[..., 0] if slot.one else value
+        out[name] = value[..., 0] if slot.one else value if slot.shape is None else value.reshape(slot.shape)
     return out
 
 
@@ -182,12 +190,13 @@ def with_params(scene: Scene, values: Mapping[str, Any]) -> Scene:
         slot = scene.structure.slot(name)
         leaf = leaves.get(slot.leaf, getattr(scene, slot.leaf))
         value = jnp.asarray(value, leaf.dtype)
-        want = leaf[slot.index].shape
+        want = slot.shape or leaf[slot.index].shape
         if slot.one:
             if value.shape != ():
                 raise SceneError(f"{name}: has shape {value.shape}; give one number")
         elif value.shape != want and not (value.ndim == 0 and len(want) == 1):
             raise SceneError(f"{name}: has shape {value.shape}; give {want}")
+        value = value if slot.shape is None else jnp.broadcast_to(value, want).reshape(leaf[slot.index].shape)
         leaves[slot.leaf] = leaf.at[slot.index].set(value)
     names = list(leaves)
     return eqx.tree_at(lambda s: [getattr(s, n) for n in names], scene, [leaves[n] for n in names]) if names else scene

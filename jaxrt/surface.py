@@ -8,10 +8,12 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from . import coordinates
 from .brdf import LOBES, Material, MaterialColumns
-from .scene import KINDS
+from .scene import FACE, KINDS
+from .texture import Place
 from .vector import Frame, Spectrum, Vec3, cross, dot, normalise, safe_sqrt, where
-from .world import FACE, World
+from .world import World
 
 
 class SurfacePoint(eqx.Module):
@@ -19,7 +21,8 @@ class SurfacePoint(eqx.Module):
 
     position (m); normal: of the face, on its front side; shading: the normal that reflectance uses;
     uv: coordinates on the face; face: its number, −1 for the enclosure; distance along the ray (m,
-    infinite for the enclosure); tangent: ∂p/∂u where the plan has anisotropic reflectance.
+    infinite for the enclosure); tangent and bitangent, ∂p/∂u and ∂p/∂v, and the place for textures, where the plan has
+    a use for them.
     """
 
     position: Vec3
@@ -31,6 +34,8 @@ class SurfacePoint(eqx.Module):
     finish: Any
     light_density: Any
     tangent: Vec3 | None = None
+    bitangent: Vec3 | None = None
+    place: Place | None = None
 
 
 def _row(table: Any, index: Any) -> Any:
@@ -86,7 +91,7 @@ def surface_point(world: World, face: Any, o: Vec3, d: Vec3) -> SurfacePoint:
         n, c0 = n * size, c0 * size
     # Where the ray meets the face's plane, put back onto the plane against rounding over the distance.
     slope = dot(n, d)
-    t = -(dot(n, at) + c0) / jnp.where(slope == 0, 1.0, slope)
+    t, height = -(dot(n, at) + c0) / jnp.where(slope == 0, 1.0, slope), 0.0
     p = at + d * t
     p, normal = p - n * (dot(n, p) + c0), n
     (nu, cu), (nv, cv) = function("u"), function("v")
@@ -105,28 +110,26 @@ def surface_point(world: World, face: Any, o: Vec3, d: Vec3) -> SurfacePoint:
         else:
             tc, nc = _cylinder(middle, radius, axis, at, d, least)
             pc = at + d * tc
+            height = jnp.where(here, dot(pc - middle, axis) / dot(axis, axis), 0.0)
         t, u, v = (jnp.where(here, a, b) for a, b in ((tc, t), (0.0, u), (0.0, v)))
         normal, p = where(here, nc * side, normal), where(here, pc, p)
     p = where(miss, at + d * (4.0 * world.radius + 1.0), p)
     normal = where(miss, -d, normal)
     u, v = jnp.where(miss, 0.0, u), jnp.where(miss, 0.0, v)
-    shading, tangent, extra = normal, None, FACE["extra"]
+    shading, tangent, bitangent, extra = normal, None, None, FACE["extra"]
+    out = normal * side  # of curved faces the outward normal
     if plan.smooth_normals:
         n0, n1, n2 = (_vec(row, extra + 3 * k) for k in range(3))
         smooth = move(n0 * (1.0 - u - v) + n1 * u + n2 * v, 0.0)[0] * side
         given = (dot(smooth, smooth) > 1e-12) & ~miss
         shading, extra = normalise(where(given, smooth, normal)), extra + 9
-    if plan.anisotropic:
-        tangent = turn(_vec(row, extra))
-        if world.blocks[KINDS.index("disk")]:  # from the centre outwards
-            disk = (number >= first("disk")) & (number < first("sphere"))
-            middle = _vec(_row(world.geometry, jnp.maximum(number, 0)), 0)
-            tangent = where(disk, p + center - middle, tangent)
-        for kind in ("sphere", "cylinder"):
-            if world.blocks[KINDS.index(kind)]:
-                tangent = where(number >= first(kind), cross(_vec(row, FACE["u"]), normal), tangent)
+    if plan.tangents:
+        tangent, bitangent = _tangents(world, row, number, p, (u, v), out, turn, extra)
         given = (dot(tangent, tangent) > 0) & ~miss
-        tangent = where(given, tangent, Frame.around(shading).s)
+        frame = Frame.around(shading)
+        tangent = where(given, tangent, frame.s)
+        bitangent = where(given, bitangent, frame.t) if plan.bumps else None
+    place = coordinates.place(world, row, number, (u, v), out, height) if plan.coordinates else None
     return SurfacePoint(
         position=p + center,
         normal=normal,
@@ -137,15 +140,42 @@ def surface_point(world: World, face: Any, o: Vec3, d: Vec3) -> SurfacePoint:
         finish=jax.lax.stop_gradient(row[FACE["finish"]]).astype(jnp.int32),
         light_density=jax.lax.stop_gradient(row[FACE["density"]]),
         tangent=tangent,
+        bitangent=bitangent,
+        place=place,
     )
+
+
+def _tangents(
+    world: World, row: Any, number: Any, p: Vec3, on_face: tuple[Any, Any], out: Vec3, turn: Any, column: int
+) -> tuple[Vec3, Vec3]:
+    """∂p/∂u and ∂p/∂v (that only where the plan has bumps) at p, counted from the world's centre; 0 where unknown."""
+    first = turn(_vec(row, column))
+    second = turn(_vec(row, column + 3)) if world.plan.bumps else first
+    disks = world.blocks[KINDS.index("disk")]
+    middle = _vec(row, FACE["n"])
+    if disks:
+        disk = (number >= world.first("disk")) & (number < world.first("sphere"))
+        middle = where(disk, _vec(_row(world.geometry, jnp.maximum(number, 0)), 0) - Vec3(*world.center), middle)
+    return coordinates.curved_tangents(world, row, p - middle, number, on_face, out, (first, second))
 
 
 def radiance_of(world: World, x: SurfacePoint, w: Vec3) -> Spectrum:
     """L⁰(x, ω): emitted radiance, on the front side only."""
-    row = _row(world.finishes, x.finish)
-    k = row.shape[0] - world.plan.channels
+    row, plan = _row(world.finishes, x.finish), world.plan
+    k = world.finishes.shape[1] - plan.channels - plan.textured_lights
+    emitted = Spectrum(tuple(row[k + c] for c in range(plan.channels)))
+    if plan.textured_lights:
+        emitted = textured(world, row[k + plan.channels], x.place, emitted)
     front = dot(x.normal, w) > 0
-    return Spectrum(tuple(jnp.where(front, row[k + c], 0.0) for c in range(world.plan.channels)))
+    return emitted.map(lambda c: jnp.where(front, c, 0.0))
+
+
+def textured(world: World, index: Any, place: Place | None, value: Spectrum) -> Spectrum:
+    """The value of a texture at a place, or `value` where its number is 0."""
+    assert world.textures is not None
+    assert place is not None
+    index = jax.lax.stop_gradient(index).astype(jnp.int32)
+    return where(index > 0, world.textures.at(index, place), value)
 
 
 class Shading(eqx.Module):
@@ -155,6 +185,7 @@ class Shading(eqx.Module):
     side: Any
     material: Material
     wo: Vec3
+    even: Any = True  # whether the material is the same all over the face
 
     def to_local(self, w: Vec3) -> Vec3:
         v = self.frame.to_local(w)
@@ -169,7 +200,9 @@ def shading_at(world: World, x: SurfacePoint, wo: Vec3) -> Shading:
     plan = world.plan
     frame = Frame.around(x.shading) if x.tangent is None else Frame.along(x.shading, x.tangent)
     columns = MaterialColumns(plan.channels, plan.fields)
-    material = Material.of(_row(world.finishes, x.finish), columns)
+    row = _row(world.finishes, x.finish)
+    material = Material.of(row, columns, lambda k, v: textured(world, k, x.place, v))
+    even = True if (maps := columns.at.get("map:reflectance")) is None else row[maps[0]] == 0
     behind = dot(x.shading, wo) < 0
     if plan.twosided == "all":
         side = jnp.where(behind, -1.0, 1.0)
@@ -178,15 +211,15 @@ def shading_at(world: World, x: SurfacePoint, wo: Vec3) -> Shading:
     else:
         side = jnp.ones_like(wo.x)
     v = frame.to_local(wo)
-    return Shading(frame, side, material, Vec3(v.x, v.y, v.z * side))
+    return Shading(frame, side, material, Vec3(v.x, v.y, v.z * side), even)
 
 
 def is_diffuse(world: World, at: Shading) -> Any:
-    """Whether a point reflects alike in all directions."""
-    if world.plan.lobes == ("diffuse",):
-        return True
+    """Whether a point reflects alike in all directions, and all over its face."""
     lobe = at.material.lobe
-    return False if lobe is None else jnp.round(lobe) == LOBES["diffuse"].number
+    if lobe is None:
+        return at.even if world.plan.lobes == ("diffuse",) else False
+    return at.even & (jnp.round(lobe) == LOBES["diffuse"].number)
 
 
 def leave(world: World, x: SurfacePoint, w: Vec3) -> Vec3:

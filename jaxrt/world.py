@@ -15,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from . import coordinates
 from .brdf import SPECTRA, MaterialColumns
 from .compiler import program, remembered
 from .effects import Plan
@@ -22,11 +23,8 @@ from .effects import plan as make_plan
 from .instances import Instances
 from .intersect import Faces, Search, affine, build_search
 from .parts import LAMPS
-from .scene import KINDS, Scene, Structure, in_working_precision
-
-FACE = {"n": 0, "height": 3, "side": 4, "finish": 5, "density": 6, "u": 7, "v": 11, "extra": 15}
-"""Columns of `World.faces`. Of a curved face: n is its centre (or foot), height its radius, u its axis."""
-
+from .scene import FACE, KINDS, Scene, Structure, in_working_precision
+from .texture import Textures
 
 FEW_LIGHTS = 16
 """Lights that are looked at one by one; of more, one is searched for."""
@@ -39,9 +37,10 @@ class World(eqx.Module):
     centre and radii of a disk; centre and radii of a sphere; foot, axis and radius of a cylinder.
     `faces` rows, gathered at each hit (`FACE` names the columns), about `center`: the affine maps of a flat
     face to its height and coordinates, or centre and radius of a curved one; side, finish, light density
-    (1/m²); and as the plan calls for, three vertex normals and a tangent. The last row is the enclosure.
-    `finishes` rows: material fields, then radiance. `light_rows`: geometry, normal, density,
-    chance, radiance, face. `light_bounds`: spheres (centre, radius) that hold all lights, m.
+    (1/m²); and as the plan calls for, three vertex normals, tangents, and coordinates for textures. The last
+    row is the enclosure. `finishes` rows: material fields, radiance, and its texture's number where there are such.
+    `light_rows`: geometry, normal, density, chance, radiance, face, and again that number. `light_bounds`: spheres
+    (centre, radius) that hold all lights, m.
     """
 
     geometry: Float[Array, "P 9"]
@@ -56,6 +55,7 @@ class World(eqx.Module):
     epsilon: Float[Array, ""]  # how far rounding may move a surface point, m
     present: Bool[Array, ""]  # true, in a way that the compiler cannot know
     instances: Instances | None
+    textures: Textures | None
     plan: Plan = eqx.field(static=True)
     blocks: tuple[int, ...] = eqx.field(static=True)
 
@@ -91,7 +91,7 @@ def _face_geometry(scene: Scene, plan: Plan) -> tuple[Any, Any, list[Any]]:
     apply = lambda m, v: jnp.einsum("pij,pj->pi", m, v, precision="highest")
     normal_matrix, det = _normals_matrix(to_world)
     mirrored = jnp.where(det < 0, -1.0, 1.0)
-    geometry, sides, normals, tangents = [], [], [], []
+    geometry, sides, normals, tangents, places = [], [], [], [], []
     for kind, n in zip(KINDS, scene.blocks, strict=True):
         if n == 0:
             continue
@@ -109,7 +109,7 @@ def _face_geometry(scene: Scene, plan: Plan) -> tuple[Any, Any, list[Any]]:
                 a, b = m[:, :, 0] * p[:, 3:4], m[:, :, 1] * p[:, 3:4]
             elif kind == "cylinder":
                 a = apply(m, p[:, 3:6] - p[:, 0:3])
-                b = _unit(_across(a)) * jnp.linalg.norm(m[:, :, 0], axis=-1, keepdims=True) * p[:, 6:7]
+                b = apply(m, coordinates.first_axis(p[:, 3:6] - p[:, 0:3]) * p[:, 6:7])
             sides.append(mirrored[at] if kind in ("parallelogram", "disk") else jnp.ones(n))
         geometry.append(jnp.concatenate([o, a, b], -1))
         if plan.smooth_normals:
@@ -117,10 +117,12 @@ def _face_geometry(scene: Scene, plan: Plan) -> tuple[Any, Any, list[Any]]:
             if kind == "triangle":
                 shading = _unit(jnp.einsum("pij,pkj->pki", cof, scene.normals[scene.triangles]))
             normals.append(shading.reshape(n, 9))
-        if plan.anisotropic:
-            tangents.append(_tangent(scene, a, b) if kind == "triangle" else a if kind != "disk" else 0.0 * a)
+        if plan.tangents:
+            tangents.append(coordinates.tangents(scene, kind, a, b)[:, : 6 if plan.bumps else 3])
+        if plan.coordinates:
+            places.append(coordinates.of_rows(scene, kind, m, a, b))
     side = jnp.concatenate(sides) * scene.flip[scene.face_shape]
-    extra = ([jnp.concatenate(normals)] if normals else []) + ([jnp.concatenate(tangents)] if tangents else [])
+    extra = [jnp.concatenate(columns) for columns in (normals, tangents, places) if columns]
     return jnp.concatenate(geometry), side, extra
 
 
@@ -137,21 +139,6 @@ def face_areas(geometry: Any, blocks: tuple[int, ...]) -> Any:
     """Area of every face (m²); 0 for padding."""
     factor = np.repeat([AREA[kind] for kind in KINDS], blocks)
     return safe_norm(jnp.cross(geometry[:, 3:6], geometry[:, 6:9])) * jnp.asarray(factor, geometry.dtype)
-
-
-def _across(a: Any) -> Any:
-    """A vector across a, for each row."""
-    k = jnp.argmin(jnp.abs(a), -1)
-    return jnp.cross(a, jax.nn.one_hot(k, 3, dtype=a.dtype))
-
-
-def _tangent(scene: Scene, a: Any, b: Any) -> Any:
-    """∂p/∂u of each triangle from its texture coordinates; 0 where it has none."""
-    uv = scene.uvs[scene.triangles]
-    d1, d2 = uv[:, 1] - uv[:, 0], uv[:, 2] - uv[:, 0]
-    det = d1[:, 0] * d2[:, 1] - d1[:, 1] * d2[:, 0]
-    safe = jnp.where(det != 0, det, 1.0)[:, None]
-    return jnp.where(det[:, None] != 0, (a * d2[:, 1:] - b * d1[:, 1:]) / safe, 0.0)
 
 
 def _bounds(scene: Scene, geometry: Any, instances: Instances | None) -> tuple[Any, Any, Any]:
@@ -250,20 +237,23 @@ def prepare(scene: Scene, plan: Plan) -> World:
     joined = lambda *columns: jnp.concatenate([a.astype(side.dtype) for a in columns], -1)
     of_face, of_lamp = chance[: len(face), None], chance[len(face) :, None]
     light_rows = joined(geometry[face], rows[face, :3], density[face][:, None], of_face, lit, face[:, None])
+    if plan.textured_lights:
+        light_rows = joined(light_rows, scene.radiance_map[scene.finishes[scene.shape_finish[shape], 1]][:, None])
     if plan.lamp_kinds:  # position, direction, cutoff, beam, kind; then as for faces
         none, bright = jnp.zeros((len(lamps), 4)), intensity[:, : plan.channels]
-        light_rows = jnp.concatenate([light_rows, joined(lamps, none, of_lamp, bright, 0 * of_lamp - 1)])
+        more = [0 * of_lamp] if plan.textured_lights else []
+        light_rows = jnp.concatenate([light_rows, joined(lamps, none, of_lamp, bright, 0 * of_lamp - 1, *more)])
     table = MaterialColumns(scene.channels)
     columns = [j for f in plan.fields for j in range(*table[f])]
     if plan.channels == 1:
         columns = [j for f in plan.fields for j in range(*table[f])[: 1 if f in SPECTRA else None]]
-    finishes = jnp.concatenate(
-        [
-            scene.materials[scene.finishes[:, 0]][:, np.array(columns)],
-            radiance[scene.finishes[:, 1]][:, : plan.channels],
-        ],
-        -1,
-    )
+    parts = [
+        scene.materials[scene.finishes[:, 0]][:, np.array(columns)],
+        radiance[scene.finishes[:, 1]][:, : plan.channels],
+    ]
+    if plan.textured_lights:
+        parts.append(scene.radiance_map[scene.finishes[:, 1]][:, None].astype(radiance.dtype))
+    finishes = jnp.concatenate(parts, -1)
     epsilon = 8 * 2.0**-23 * jnp.maximum(sg(reach), sg(radius))
     origins = jnp.concatenate([o, geometry[:, 3:]], -1)
     faces = Faces(origins, maps, scene.counts, center, epsilon, scene.blocks, instances, scene.copies)
@@ -281,6 +271,7 @@ def prepare(scene: Scene, plan: Plan) -> World:
         epsilon=epsilon,
         present=scene.counts[0] >= 0,
         instances=instances,
+        textures=Textures.of(scene, plan.channels, plan.textures) if plan.textures else None,
         plan=plan,
         blocks=scene.blocks,
     )

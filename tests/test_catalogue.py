@@ -5,6 +5,7 @@ import pytest
 from helpers import assert_same_picture
 
 import jaxrt
+from jaxrt.files import image
 
 pytestmark = [pytest.mark.peer, pytest.mark.usefixtures("short_loops")]
 
@@ -112,3 +113,76 @@ def test_indices_of_refraction():
     for name, index in INDICES.items():
         made = mi.load_dict({"type": "dielectric", "int_ior": name, "ext_ior": 1.0})
         assert mi.traverse(made)["eta"] == pytest.approx(index, rel=1e-6), name
+
+
+# ---------------------------------------------------------------------------------------- textures
+
+
+@pytest.fixture
+def pictures(tmp_path):
+    """Files that scenes below refer to: colours, an uneven grey, and a mesh with coordinates and attributes."""
+    from PIL import Image
+
+    random = np.random.default_rng(3)
+    Image.fromarray(random.integers(30, 250, (3, 5, 3), np.uint8)).save(tmp_path / "colours.png")
+    Image.fromarray(random.integers(40, 250, (4, 3), np.uint8)).save(tmp_path / "grey.png")
+    image.write_exr(tmp_path / "bright.exr", random.random((4, 6, 3)).astype(np.float32) ** 3 * 6)
+    corners = [(-1, -1, 0), (1, -1, 0.3), (1, 1, 0), (-1, 1, 0.4)]
+    uvs, colours = (
+        [(0, 0), (1.5, 0), (1.4, 1), (0, 1.2)],
+        [(0.9, 0.1, 0.1), (0.1, 0.9, 0.2), (0.2, 0.1, 0.9), (1, 1, 1)],
+    )
+    head = ["ply", "format ascii 1.0", "element vertex 4", *(f"property float {c}" for c in ("x", "y", "z", "u", "v"))]
+    head += [
+        *(f"property float {c}" for c in ("r", "g", "b")),
+        "element face 2",
+        "property list uchar int vertex_indices",
+    ]
+    head += [*(f"property float {c}" for c in ("r", "g", "b")), "end_header"]
+    body = [" ".join(map(str, p + t + c)) for p, t, c in zip(corners, uvs, colours, strict=True)]
+    body += ["3 0 1 2 .1 .8 .3", "3 0 2 3 .7 .2 .9"]
+    (tmp_path / "sheet.ply").write_text("\n".join(head + body) + "\n")
+
+
+def bitmap(name, file, more=""):
+    return f'<texture type="bitmap" name="{name}"><string name="filename" value="{file}"/>{more}</texture>'
+
+
+NEAREST = '<string name="filter_type" value="nearest"/><string name="wrap_mode" value="{}"/>'
+TURNED = '<transform name="to_uv"><scale x="2" y="3"/><rotate z="1" angle="20"/><translate x=".3" y=".1"/></transform>'
+SHEET = """<shape type="ply"><string name="filename" value="sheet.ply"/><boolean name="face_normals" value="true"/>
+<transform name="to_world"><rotate x="1" angle="60"/></transform>{}</shape>"""
+CHECKERS = '<texture type="checkerboard" name="reflectance"><rgb name="color0" value=".9,.2,.1"/>{}</texture>'
+
+
+def diffuse(texture):
+    return f'<bsdf type="diffuse">{texture}</bsdf>'
+
+
+def attribute(name):
+    return SHEET.format(diffuse(f'<texture type="mesh_attribute" name="reflectance"><string name="name" value="{name}"/></texture>'))  # fmt: skip
+
+
+TEXTURED = {
+    "bitmap": two(diffuse(bitmap("reflectance", "colours.png")), diffuse(bitmap("reflectance", "grey.png"))),
+    "bitmap nearest": two(
+        diffuse(bitmap("reflectance", "colours.png", TURNED + NEAREST.format("mirror"))),
+        diffuse(bitmap("reflectance", "grey.png", TURNED + NEAREST.format("clamp"))),
+    ),
+    "bitmap raw": SHEET.format(diffuse(bitmap("reflectance", "colours.png", '<boolean name="raw" value="true"/>'))),
+    "checkerboard": two(diffuse(CHECKERS.format("")), diffuse(CHECKERS.format(TURNED))),
+    "vertex_color": attribute("vertex_color"),
+    "face_color": attribute("face_color"),
+    "roughness": two(
+        rough("ggx", bitmap("alpha", "grey.png", '<boolean name="raw" value="true"/>') + GOLD),
+        f'<bsdf type="plastic">{bitmap("diffuse_reflectance", "colours.png")}</bsdf>',
+    ),
+    "emission": two('<bsdf type="diffuse"/>', f'<emitter type="area">{bitmap("radiance", "bright.exr")}</emitter>')
+    + f"""<shape type="rectangle"><transform name="to_world"><lookat origin="-2,-1,2" target="0,0,0" up="0,0,1"/>
+    </transform><emitter type="area">{bitmap("radiance", "colours.png")}</emitter></shape>""",
+}
+
+
+@pytest.mark.parametrize("name", TEXTURED)
+def test_textures(name, tmp_path, pictures):
+    check(tmp_path, SCENE.format(depth=3, emitter=CONSTANT, shape=TEXTURED[name]))

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 from ..vector import Spectrum, Vec3, where
 from . import diffuse, ggx, glass, mirror, plastic, rough
 from .lobe import Lobe
-from .material import ALBEDOS, NUMBERS, SPECTRA, Material, MaterialColumns
+from .material import ALBEDOS, MAPPED, NUMBERS, SPECTRA, Material, MaterialColumns
 
 LOBES: dict[str, Lobe] = {
     lobe.name: lobe
@@ -92,6 +92,6 @@ def delta_weight(lobes: tuple[str, ...], m: Material, wi: Vec3, wo: Vec3) -> Spe
 
 
 __all__ = [
-    "ALBEDOS", "LOBES", "NUMBERS", "SPECTRA", "Lobe", "Material", "MaterialColumns", "chooses", "cosine",
-    "delta_weight", "eval", "has_delta", "is_translucent", "pdf", "sample",
+    "ALBEDOS", "LOBES", "MAPPED", "NUMBERS", "SPECTRA", "Lobe", "Material", "MaterialColumns", "chooses",
+    "cosine", "delta_weight", "eval", "has_delta", "is_translucent", "pdf", "sample",
 ]  # fmt: skip

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
@@ -20,6 +21,9 @@ NUMBERS = {"lobe": 0.0, "twosided": 0.0, "ior": 1.0, "nonlinear": 0.0}
 """Fields of one number, and what rows hold where their lobe has no use for it: other lobes still evaluate the row, and
 must stay finite. `alpha`, the roughness along both tangents, has two numbers."""
 
+MAPPED = (*SPECTRA, "alpha", *(n for n in NUMBERS if n not in ("lobe", "twosided")))
+"""Fields that may have textures; the column `map:reflectance` holds the number of one, 0 for none."""
+
 SMOOTHEST = 1e-4
 """Roughness below which a lobe would leave float32; an optimisation may walk there."""
 
@@ -29,6 +33,7 @@ class MaterialColumns:
 
     def __init__(self, channels: int, fields: tuple[str, ...] | None = None):
         sizes = dict.fromkeys(NUMBERS, 1) | {"alpha": 2} | dict.fromkeys(SPECTRA, channels)
+        sizes |= {f"map:{name}": 2 if name == "alpha" else 1 for name in MAPPED}
         self.channels, self.at, start = channels, {}, 0
         for name in sizes if fields is None else fields:
             self.at[name] = (start, start + sizes[name])
@@ -59,10 +64,21 @@ class Material(eqx.Module):
         raise AttributeError(name)
 
     @classmethod
-    def of(cls, row: Any, columns: MaterialColumns) -> Material:
+    def of(cls, row: Any, columns: MaterialColumns, textured: Callable[[Any, Spectrum], Spectrum]) -> Material:
+        """The material of a row. `textured`: the value of the texture of a number, or what is given where that is 0."""
         values: dict[str, Any] = {}
         for name, (start, stop) in columns.at.items():
+            if name.startswith("map:"):
+                continue
             cells = tuple(row[j] for j in range(start, stop))
+            if (maps := columns.at.get(f"map:{name}")) is not None:
+                if name in SPECTRA:
+                    cells = textured(row[maps[0]], Spectrum(cells)).channels
+                else:
+                    cells = tuple(
+                        textured(row[maps[0] + k], Spectrum.full(columns.channels, c)).channels[0]
+                        for k, c in enumerate(cells)
+                    )
             if name == "alpha":
                 values[name] = tuple(jnp.maximum(c, SMOOTHEST) for c in cells)
             else:

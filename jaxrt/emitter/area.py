@@ -14,11 +14,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from .. import coordinates
 from ..gradient.material import towards
 from ..radiometry import one_minus_cos
 from ..sampling import warp
 from ..sampling.sobol import Drawn, Stream
-from ..surface import SurfacePoint, _row, _vec
+from ..surface import SurfacePoint, _row, _vec, textured
 from ..vector import Frame, Spectrum, Vec3, cross, dot, normalise, safe_sqrt, where
 from ..world import FACE, FEW_LIGHTS, World
 from . import delta, spherical
@@ -138,17 +139,19 @@ def _of_face(world: World, x: Vec3, row: Any, face: Any, u: tuple[Any, Any], n: 
     moving, attached = x, row
     x, fixed, n = jax.lax.stop_gradient((x, [row[k] for k in range(14)], n))
     front, density, chance = _vec(fixed, 9), fixed[12], fixed[13]
-    found = None
+    found: Any = None
     for kind in plan.light_kinds:
         if kind == "sphere":
             up, cone = _sphere_normal(x, fixed, u)
             radius, side = safe_sqrt(dot(_vec(attached, 3), _vec(attached, 3))), _row(world.faces, face)[FACE["side"]]
             one = (_vec(attached, 0) + up * radius, up * side, up * radius * radius, cone, 0.0 * u[0] + 1.0)
+            on_face = u, up, 0.0 * u[0]
         elif kind == "cylinder":
             up, side = _cylinder_normal(attached, u), _row(world.faces, face)[FACE["side"]]
             axis, radius = _vec(attached, 3), safe_sqrt(dot(_vec(attached, 6), _vec(attached, 6)))
             y, area = _vec(attached, 0) + axis * u[0] + up * radius, up * (radius * safe_sqrt(dot(axis, axis)))
             one = (y, up * side, area, 0.0 * u[0], 0.0 * u[0] + 1.0)
+            on_face = u, up, u[0]
         else:
             e1, e2 = _vec(attached, 3), _vec(attached, 6)
             o, f1, f2 = (_vec(fixed, k) for k in (0, 3, 6))
@@ -159,9 +162,10 @@ def _of_face(world: World, x: Vec3, row: Any, face: Any, u: tuple[Any, Any], n: 
                 f, g, cone = spherical.sample(x, o, f1, f2, four, u)
                 uv, more = where(cone > 0, ((f, g), 0.0 * more + 1.0), (uv, more))
             one = (_vec(attached, 0) + e1 * uv[0] + e2 * uv[1], front, cross(e1, e2), cone, more)
+            on_face = uv, front, 0.0 * u[0]
+        one = (one, on_face if plan.textured_lights else None)
         found = one if found is None else where(face >= world.first(kind), one, found)
-    assert found is not None
-    y, normal, area, cone, more = found
+    (y, normal, area, cone, more), on_face = found
     w, jacobian = towards(moving, y, area)
     y, fixed_w, normal = jax.lax.stop_gradient((y, w, normal))
     to = y - x
@@ -170,7 +174,13 @@ def _of_face(world: World, x: Vec3, row: Any, face: Any, u: tuple[Any, Any], n: 
     pdf = _per_area(density, d2, cos)
     pdf = jnp.where(cone > 0, chance * cone, pdf)
     lit = (cos > 0) & (d2 > 0)
-    radiance = Spectrum(tuple(jnp.where(lit, row[14 + c], 0.0) for c in range(plan.channels)))
+    radiance = Spectrum(tuple(row[14 + c] for c in range(plan.channels)))
+    if plan.textured_lights:
+        of_face = _row(world.faces, face)
+        assert on_face is not None
+        place = coordinates.place(world, of_face, face, *on_face)
+        radiance = textured(world, row[15 + plan.channels], place, radiance)
+    radiance = radiance.map(lambda c: jnp.where(lit, c, 0.0))
     distance, hidden = safe_sqrt(d2), jnp.zeros_like(lit)
     if "cylinder" in plan.light_kinds:
         inwards = (face >= world.first("cylinder")) & (_row(world.faces, face)[FACE["side"]] < 0)

@@ -13,6 +13,7 @@ from . import spectra
 from .conductors import CONDUCTORS
 from .indices import INDICES
 from .mitsuba_context import Context
+from .mitsuba_textures import TEXTURES, texture
 from .mitsuba_xml import Element
 
 
@@ -23,6 +24,8 @@ def color(ctx: Context, element: Element, name: str, default: Any, role: spectra
     it is the colour of the equal-energy spectrum (Mitsuba 3, rgb variants).
     """
     nested = ctx.named(element, name)
+    if nested is not None and nested.tag == "texture" and nested.plugin in TEXTURES:
+        return texture(ctx, nested, color, 1.0 if role == "reflectance" else np.inf)
     if nested is not None:
         return _spectrum_plugin(ctx, nested)
     given = ctx.get(element, name, "rgb", "float", "integer", "spectrum")
@@ -135,8 +138,11 @@ def _plastic(ctx: Context, element: Element, name: str) -> dict[str, Any]:
     return {**fields, "nonlinear": ctx.boolean(element, "nonlinear", False)}
 
 
-def _roughness(ctx: Context, element: Element, name: str) -> float:
-    alpha = np.atleast_1d(color(ctx, element, name, 0.1, "ior"))
+def _roughness(ctx: Context, element: Element, name: str) -> Any:
+    alpha = color(ctx, element, name, 0.1, "ior")
+    if isinstance(alpha, parts.Texture):
+        return alpha
+    alpha = np.atleast_1d(alpha)
     if (alpha != alpha[0]).any():
         element.fail(f"{name} is a colour; give a <float>")
     # Mitsuba keeps rough conductors from becoming mirrors; a wrong number is left for the part to refuse
@@ -181,6 +187,6 @@ def area_emission(ctx: Context, element: Element, place: str) -> tuple[Any, str]
         name = ctx.name(element, place)
         radiance = color(ctx, element, "radiance", 1.0, "radiance")
         ctx.finish(element, SAMPLING)
-        return ctx.part(element, lambda: parts.spectrum(radiance, f"{name}.radiance")), name
+        return ctx.part(element, lambda: parts.varying(radiance, f"{name}.radiance")), name
 
     return ctx.once(element, build)

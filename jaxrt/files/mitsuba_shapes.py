@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from .. import parts
+from . import transforms
 from .mitsuba_context import Context
 from .mitsuba_materials import area_emission, bsdf
 from .mitsuba_xml import Element
@@ -86,15 +87,15 @@ def _straightened(m: np.ndarray, p0: np.ndarray, p1: np.ndarray, radius: float) 
     if s[0] - s[2] <= 1e-4 * s[0] or not length > 0:
         return {}
     axis = (p1 - p0) / length
-    across = np.linalg.svd(axis[None])[2][1:]  # two unit vectors across the axis
-    u, v = across @ m[:3, :3].T
+    first = transforms.perpendicular(axis)  # from which its angle counts
+    u, v = np.stack([first, np.cross(axis, first)]) @ m[:3, :3].T
     w = m[:3, :3] @ axis
     size, stretch = np.linalg.norm(u), np.linalg.norm(w)
     skew = max(abs(u @ v) / size**2, abs(u @ w) / (size * stretch), abs(v @ w) / (size * stretch))
     if abs(np.linalg.norm(v) - size) > 1e-4 * size or skew > 1e-4:
         return {}  # an elliptic or slanted one, which the part refuses
     rigid = np.eye(4)
-    rigid[:3, :3] = np.stack([u / size, np.cross(w, u) / (stretch * size), w / stretch], 1)
+    rigid[:3, :3] = np.stack([u, v, w], 1) / [size, size, stretch]
     rigid[:3, 3] = m[:3, :3] @ p0 + m[:3, 3]
     return {"to_world": rigid, "p0": [0.0, 0.0, 0.0], "p1": [0.0, 0.0, stretch * length], "radius": radius * size}
 

@@ -1,20 +1,114 @@
-"""Textures, as far as they are read: their mean colour."""
+"""Pictures that surfaces carry: read as linear values."""
 
 from __future__ import annotations
 
 import io
+from pathlib import Path
 
 import numpy as np
 
+from ..parts import SceneError
+from .image import read_exr
 
-def mean_colour(data: bytes) -> np.ndarray | None:
-    """Mean linear RGB of a PNG or JPEG coded in sRGB; None where it cannot be read."""
+EIGHT_BITS = (".png", ".jpg", ".jpeg", ".bmp", ".tga", ".webp", ".gif", ".ppm", ".pgm")
+
+
+def linear(x: np.ndarray) -> np.ndarray:
+    """sRGB's curve undone (IEC 61966-2-1)."""
+    return np.where(x <= 0.04045, x / 12.92, ((x + 0.055) / 1.055) ** 2.4)
+
+
+def decoded(data: bytes, raw: bool = False) -> np.ndarray:
+    """A PNG, JPEG, ... as (H, W, 1, 3 or 4) float32, its colours linear unless they are `raw`. Raises ValueError."""
     from PIL import Image
 
     try:
-        with Image.open(io.BytesIO(data), formats=("PNG", "JPEG", "WEBP")) as image:
-            image.thumbnail((1024, 1024))
-            x = np.asarray(image.convert("RGB"), np.float64) / 255.0
-    except Exception:  # whatever a damaged picture does to a decoder
+        with Image.open(io.BytesIO(data)) as image:
+            if image.mode in ("I;16", "I;16B", "I"):
+                x = np.asarray(image, np.float64)[..., None] / 65535.0
+            else:
+                grey = image.mode in ("1", "L", "LA")
+                alpha = "transparency" in image.info or image.mode in ("LA", "PA", "RGBA")
+                x = np.asarray(image.convert("RGBA" if alpha else "L" if grey else "RGB"), np.float64) / 255.0
+                x = x[..., None] if x.ndim == 2 else x
+    except Exception as problem:  # whatever a damaged picture does to a decoder
+        raise ValueError(str(problem)[:80]) from None
+    if not raw:
+        x = np.concatenate([linear(x[..., :3]), x[..., 3:]], -1)
+    return x.astype(np.float32)
+
+
+def read_picture(path: str | Path, raw: bool = False) -> np.ndarray:
+    """(H, W, 1 or 3) float32, linear unless `raw`; EXR and HDR are linear as they are. Raises `SceneError`."""
+    suffix = Path(path).suffix.lower()
+    if suffix == ".exr":
+        image = read_exr(path)[0]
+        return image[..., :1] if (image == image[..., :1]).all() else image
+    try:
+        data = Path(path).read_bytes()
+    except OSError as problem:
+        raise SceneError(f"{path}: cannot be read ({problem.strerror}); check the path") from None
+    if suffix in (".hdr", ".rgbe"):
+        return _radiance_hdr(path, data)
+    try:
+        x = decoded(data, raw)
+    except ValueError as problem:
+        raise SceneError(
+            f"{path}: is no picture that can be read ({problem}); give PNG, JPEG, BMP, EXR or HDR"
+        ) from None
+    return x[..., :3]
+
+
+def _radiance_hdr(path: str | Path, data: bytes) -> np.ndarray:
+    """Radiance's RGBE format (Ward 1991), with or without run lengths."""
+
+    def refuse(why: str) -> SceneError:
+        return SceneError(f"{path}: {why}; make it again")
+
+    head, _, rest = data.partition(b"\n\n")
+    size, _, body = rest.partition(b"\n")
+    words = size.split()
+    if not head.startswith((b"#?RADIANCE", b"#?RGBE")) or len(words) != 4 or words[0] != b"-Y" or words[2] != b"+X":
+        raise refuse("is not a Radiance picture with rows from the top")
+    try:
+        height, width = int(words[1]), int(words[3])
+    except ValueError:
+        raise refuse("has a size that is no number") from None
+    if not (0 < height <= 1 << 15 and 0 < width <= 1 << 15) or height * 4 > len(body):
+        raise refuse(f"claims {width} x {height} pixels, which it cannot hold; it is damaged")
+    rgbe, at = np.empty((height, width, 4), np.uint8), 0
+    for y in range(height):
+        row = body[at : at + 4]
+        if len(row) == 4 and row[:2] == b"\2\2" and row[2] * 256 + row[3] == width and 8 <= width < 1 << 15:
+            at += 4
+            for c in range(4):
+                x = 0
+                while x < width:
+                    if at >= len(body):
+                        raise refuse("ends too early; it is damaged")
+                    n = body[at]
+                    if n > 128:
+                        n, run = n - 128, True
+                    else:
+                        run = False
+                    if x + n > width or at + 1 + (1 if run else n) > len(body) or n == 0:
+                        raise refuse("has a damaged row")
+                    part = body[at + 1 : at + 2] * n if run else body[at + 1 : at + 1 + n]
+                    rgbe[y, x : x + n, c] = np.frombuffer(part, np.uint8)
+                    at, x = at + 1 + (1 if run else n), x + n
+        else:
+            if at + 4 * width > len(body):
+                raise refuse("ends too early; it is damaged")
+            rgbe[y] = np.frombuffer(body, np.uint8, 4 * width, at).reshape(width, 4)
+            at += 4 * width
+    scale = np.ldexp(1.0, rgbe[..., 3:].astype(int) - 136)
+    return (np.where(rgbe[..., 3:] > 0, rgbe[..., :3] + 0.5, 0.0) * scale).astype(np.float32)
+
+
+def mean_colour(data: bytes) -> np.ndarray | None:
+    """Mean linear RGB of a picture coded in sRGB; None where it cannot be read."""
+    try:
+        x = decoded(data)
+    except ValueError:
         return None
-    return np.where(x <= 0.04045, x / 12.92, ((x + 0.055) / 1.055) ** 2.4).mean((0, 1))
+    return np.broadcast_to(x, (*x.shape[:2], 3))[..., :3].mean((0, 1)) if x.shape[2] == 1 else x[..., :3].mean((0, 1))

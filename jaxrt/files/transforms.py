@@ -43,7 +43,7 @@ def look_at(origin: ArrayLike, target: ArrayLike, up: ArrayLike = (0.0, 0.0, 0.0
     o, t, u = (np.asarray(v, np.float64) for v in (origin, target, up))
     forward = _unit(t - o, "origin and target coincide")
     if not u.any():
-        u = _perpendicular(forward)
+        u = perpendicular(forward)
     left = _unit(np.cross(u, forward), "up is along the view")
     m = np.eye(4)
     m[:3, 0], m[:3, 1], m[:3, 2], m[:3, 3] = left, np.cross(forward, left), forward, o
@@ -67,7 +67,7 @@ def _unit(v: np.ndarray, otherwise: str) -> np.ndarray:
     return v / length
 
 
-def _perpendicular(n: np.ndarray) -> np.ndarray:
+def perpendicular(n: np.ndarray) -> np.ndarray:
     """T. Duff et al., Building an orthonormal basis, revisited, JCGT 2017: the first tangent."""
     sign = np.copysign(1.0, n[2])
     a = -1.0 / (sign + n[2])

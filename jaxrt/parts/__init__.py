@@ -10,11 +10,12 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 
-from .checks import LARGEST, SceneError, check, matrix, scalar, spectrum, unit
+from .checks import LARGEST, SceneError, check, matrix, scalar, spectrum, unit, varying
 from .lamps import LAMPS, Directional, Enclosure, Lamp, Point, Spot
 from .reflectances import Bsdf, Conductor, Dielectric, Diffuse, Null, Plastic, Row, TwoSided
 from .sensors import Film, Sensor
 from .shapes import Cube, Cylinder, Disk, Group, Instance, Mesh, Rectangle, Shape, Sphere
+from .textures import Bitmap, Checkerboard, MeshAttribute, Texture
 
 
 @dataclasses.dataclass
@@ -47,7 +48,9 @@ class Description:
 __all__ = [
     "LAMPS",
     "LARGEST",
+    "Bitmap",
     "Bsdf",
+    "Checkerboard",
     "Conductor",
     "Cube",
     "Cylinder",
@@ -63,6 +66,7 @@ __all__ = [
     "Integrator",
     "Lamp",
     "Mesh",
+    "MeshAttribute",
     "Null",
     "Plastic",
     "Point",
@@ -73,10 +77,12 @@ __all__ = [
     "Shape",
     "Sphere",
     "Spot",
+    "Texture",
     "TwoSided",
     "check",
     "matrix",
     "scalar",
     "spectrum",
     "unit",
+    "varying",
 ]

@@ -20,8 +20,18 @@ def check(ok: bool, element: str, problem: str) -> None:
         raise SceneError(f"{element}: {problem}" if element else problem)
 
 
+def varying(value: Any, element: str, *, most: float = np.inf, least: float = 0.0) -> Any:
+    """A spectrum, or a texture of such."""
+    return (
+        value.checked(element, least, most)
+        if hasattr(value, "checked")
+        else spectrum(value, element, most=most, least=least)
+    )
+
+
 def spectrum(value: Any, element: str, *, most: float = np.inf, least: float = 0.0) -> np.ndarray:
     """A finite spectrum, shape (1,) or (C,), float64, with every value in [least, most]."""
+    check(not hasattr(value, "checked"), element, "takes no texture; give a colour or a number")
     try:
         a = np.atleast_1d(np.asarray(value, np.float64))
     except (TypeError, ValueError):

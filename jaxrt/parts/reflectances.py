@@ -7,7 +7,8 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from .checks import check, scalar, spectrum
+from .checks import check, scalar, varying
+from .textures import Texture
 
 
 class Row(NamedTuple):
@@ -26,10 +27,19 @@ class Diffuse:
     id: str = ""
 
     def __post_init__(self):
-        self.reflectance = spectrum(self.reflectance, f"{self.id or 'diffuse'}.reflectance", most=1.0)
+        self.reflectance = varying(self.reflectance, f"{self.id or 'diffuse'}.reflectance", most=1.0)
 
     def row(self) -> Row:
         return Row("diffuse", {"reflectance": self.reflectance}, {"reflectance": "reflectance"})
+
+
+def roughness(value: Any, element: str) -> list[Any]:
+    """[α_u, α_v], numbers or textures, from one or two."""
+    several = isinstance(value, (list, tuple)) or (isinstance(value, np.ndarray) and value.size == 2)
+    both = [*value, *value][:2] if several and len(value) == 1 else list(value) if several else [value, value]
+    check(len(both) == 2, element, "is one roughness or two")
+    one = lambda v: v if isinstance(v, Texture) else scalar(v, element, least=0.0, most=1.0)
+    return [varying(one(v), element, most=1.0) if isinstance(v, Texture) else one(v) for v in both]
 
 
 @dataclasses.dataclass
@@ -51,20 +61,23 @@ class Conductor:
         name = self.id or "conductor"
         known = ("ggx", "ggx_separable", "beckmann")
         check(self.distribution in known, f"{name}.distribution", f"{self.distribution!r} is not {' or '.join(known)}")
-        a = spectrum(self.alpha, f"{name}.alpha", most=1.0)
-        check(a.size <= 2, f"{name}.alpha", "is one roughness or two")
-        self.alpha = np.broadcast_to(a, (2,)).copy()
-        self.eta = spectrum(self.eta, f"{name}.eta")
-        self.k = spectrum(self.k, f"{name}.k")
-        self.specular_reflectance = spectrum(self.specular_reflectance, f"{name}.specular_reflectance", most=1.0)
+        self.alpha = roughness(self.alpha, f"{name}.alpha")
+        self.eta = varying(self.eta, f"{name}.eta")
+        self.k = varying(self.k, f"{name}.k")
+        self.specular_reflectance = varying(self.specular_reflectance, f"{name}.specular_reflectance", most=1.0)
 
     def row(self) -> Row:
-        rough = bool(self.alpha.max() >= 1e-3)  # below, float32 cannot resolve the lobe (oracles, GGX furnace)
+        # below, float32 cannot resolve the lobe (oracles, GGX furnace)
+        rough = any(isinstance(a, Texture) or a >= 1e-3 for a in self.alpha)
         fields = {"reflectance": self.specular_reflectance, "eta": self.eta, "k": self.k}
         names = {"specular_reflectance": "reflectance", "eta": "eta", "k": "k"}
         if not rough:
             return Row("mirror", fields, names)
-        return Row(self.distribution, {**fields, "alpha": np.maximum(self.alpha, 1e-3)}, {**names, "alpha": "alpha"})
+        return Row(
+            self.distribution,
+            {**fields, "alpha": [a if isinstance(a, Texture) else max(a, 1e-3) for a in self.alpha]},
+            {**names, "alpha": "alpha"},
+        )
 
 
 def _check_boundary(part: Dielectric | Plastic, name: str, *albedos: str) -> None:
@@ -73,7 +86,7 @@ def _check_boundary(part: Dielectric | Plastic, name: str, *albedos: str) -> Non
         check(0 < n <= 1e3, f"{name}.{key}", f"is {n:g}; give an index of refraction above 0, and at most 1000")
         setattr(part, key, n)
     for key in albedos:
-        setattr(part, key, spectrum(getattr(part, key), f"{name}.{key}", most=1.0))
+        setattr(part, key, varying(getattr(part, key), f"{name}.{key}", most=1.0))
 
 
 @dataclasses.dataclass

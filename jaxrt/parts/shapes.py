@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from .checks import LARGEST, check, matrix, scalar, spectrum
+from .checks import LARGEST, check, matrix, scalar, varying
 from .reflectances import Bsdf, Diffuse
 
 
@@ -27,7 +27,7 @@ class Shape:
         name = self.id or type(self).__name__.lower()
         self.to_world = matrix(self.to_world, f"{name}.to_world")
         if self.emission is not None:
-            self.emission = spectrum(self.emission, f"{self.emission_id or name + '.emitter'}.radiance")
+            self.emission = varying(self.emission, f"{self.emission_id or name + '.emitter'}.radiance")
 
 
 @dataclasses.dataclass(kw_only=True)
@@ -35,12 +35,14 @@ class Mesh(Shape):
     """Triangles. vertices (V, 3) in the shape's own space, faces (F, 3) counter-clockwise from outside.
 
     `normals` (V, 3): interpolated shading normals, or None for flat faces. `uvs` (V, 2) or None.
+    `attributes`: values for `MeshAttribute` by name, (V,), (V, k), (F,) or (F, k).
     """
 
     vertices: Any
     faces: Any
     normals: Any = None
     uvs: Any = None
+    attributes: dict[str, Any] = dataclasses.field(default_factory=dict)
 
     def __post_init__(self):
         super().__post_init__()

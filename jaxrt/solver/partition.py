@@ -50,6 +50,8 @@ def diffuse_sides(world: World, scene: Scene) -> tuple[np.ndarray, np.ndarray]:
     two = np.full(faces, plan.twosided == "all") if two is None else two > 0.5
     through = [LOBES[name].number for name in plan.lobes if LOBES[name].transmits]
     through = np.isin(lobe, through) if lobe is not None else np.full(faces, bool(through))
+    if (maps := field("map:reflectance")) is not None:  # what varies within an element is followed, not stored
+        diffuse &= maps == 0
     diffuse, reflects = diffuse & used, np.concatenate([used, used & two])
     return np.concatenate([diffuse, diffuse]) & reflects, ~(reflects | np.concatenate([used & through] * 2))
 
@@ -189,7 +191,8 @@ def partition(
     first[:real] = np.concatenate([[0], 1 + np.concatenate([[0], np.cumsum(members)[:-1]])])[:real]
     areas = np.bincount(element, piece_area, len(members)) if len(element) else np.zeros(0)
     size = np.sqrt(areas) if clustered else longer
-    emits = np.any(np.asarray(world.finishes)[:, -world.plan.channels :] > 0, axis=-1)
+    table, plan = np.asarray(world.finishes), world.plan
+    emits = np.any(table[:, table.shape[1] - plan.textured_lights - plan.channels :][:, : plan.channels] > 0, axis=-1)
     emits = emits[np.asarray(world.faces)[:faces, FACE["finish"]].astype(int)] & (area > 0)
     everywhere = bool(area[emits].sum() > EVERYWHERE * area.sum()) and not world.plan.lamp_kinds
     fill = lambda a, size, value=0: np.concatenate([a, np.full((size - len(a), *a.shape[1:]), value, a.dtype)])

@@ -126,13 +126,16 @@ class Landing(eqx.Module):
     blocked: Any = None  # whether it is
 
 
+_USED = ("position", "normal", "shading", "tangent", "bitangent", "place", "distance", "finish", "light_density")
+
+
 def _land(world: World, depths: Depths, state: PathState, s: Stream, face: Any) -> Landing:
     """The point on a face where the path lands; emission met there, and a light sample."""
     plan = world.plan
     x = surface_point(world, face, state.o, state.d)
-    used = (x.position, x.normal, x.shading, x.tangent, x.distance, x.finish, x.light_density)
-    (p, n, ns, tangent, t, finish, density), s = world.settle((used, Drawn.of(s, BOUNCE_PAIRS)))
-    x = replace(x, position=p, normal=n, shading=ns, tangent=tangent, distance=t, finish=finish, light_density=density)
+    used = {name: getattr(x, name) for name in _USED}
+    used, s = world.settle((used, Drawn.of(s, BOUNCE_PAIRS)))
+    x = replace(x, **used)
     wo = -state.d
     # Emission met by reflection, weighted against the chance of having drawn it as a light.
     share = met_share(world, x, state.o, state.d, state.pdf, state.delta)

@@ -549,7 +549,7 @@ def test_reflectance_in_all_forms(load, given, expected):
         ('<spectrum name="reflectance"/>', "neither value nor filename"),
         ('<spectrum name="reflectance" filename="none.spd"/>', "no such file"),
         ('<spectrum name="reflectance" type="blackbody"/>', "is not supported as a colour"),
-        ('<texture name="reflectance" type="bitmap"/>', "is not supported as a colour"),
+        ('<texture name="reflectance" type="bitmap"/>', "no such file"),
         ('<string name="reflectance" value="red"/>', "write it as <rgb>"),
         ('<vector name="reflectance" value="1 1 1"/>', "write it as <rgb>"),
         ('<bsdf type="diffuse"/>', "is not supported in <bsdf"),
