@@ -125,7 +125,8 @@ def build(
     enclosure, integrator = enclosure or Enclosure(), integrator or Integrator()
     keys = ["irradiance" if isinstance(lamp, Directional) else "intensity" for lamp in lamps]
     bright = [getattr(lamp, key) for lamp, key in zip(lamps, keys, strict=True)]
-    longest = max([enclosure.radiance.size] + [v.size for s in shapes for v in _spectra(s)] + [v.size for v in bright])
+    around = enclosure.radiance.mean() if isinstance(enclosure.radiance, Texture) else enclosure.radiance
+    longest = max([around.size] + [v.size for s in shapes for v in _spectra(s)] + [v.size for v in bright])
     c = longest if channels is None else channels
     names = Names()
     ids = [names.part(s.id or type(s).__name__.lower()) for s in shapes]
@@ -134,9 +135,13 @@ def build(
     firsts = np.cumsum([0, *(len(s.faces) if isinstance(s, Mesh) else 0 for s in shapes)])
     material_of = [materials.row(s.bsdf, s, int(first)) for s, first in zip(shapes, firsts[:-1], strict=True)]
 
-    radiance, emitter_of = [np.zeros(c), spread(enclosure.radiance, c, "enclosure.radiance")], {}
-    radiance_map = [0, 0]
-    names.add(f"{names.part(enclosure.id or 'enclosure')}.radiance", "radiance", 1)
+    radiance, emitter_of = [np.zeros(c), spread(around, c, "enclosure.radiance")], {}
+    radiance_map, around_name = [0, 0], names.part(enclosure.id or "enclosure")
+    if isinstance(enclosure.radiance, Texture):
+        radiance_map[1] = textures.number(enclosure.radiance, f"{around_name}.radiance", shapes[0], 0, False)[0]
+        names.add(f"{around_name}.to_world", "around_to_world", 0)
+    else:
+        names.add(f"{around_name}.radiance", "radiance", 1)
     by_kind: dict[str, list[tuple[int, np.ndarray]]] = {k: [] for k in KINDS}
     vertices, normals, uvs, vertex_of, first = [], [], [], [], 0
     finishes: list[tuple[int, int]] = [(0, 1)]  # row 0: the enclosure, black and luminous
@@ -258,6 +263,7 @@ def build(
         instance_group=i(group_of, bucket(len(instances)), -1),
         groups=i(np.array(groups, int).reshape(-1, 2), bucket(len(groups)), (sum(blocks), 0)),
         lights=i(lights, bucket(len(lights)), -1),
+        around_to_world=f([enclosure.to_world], (4, 4), 1),
         lamps=f([lamp.row() for lamp in lamps] or np.zeros((0, 9)), (9,), bucket(len(lamps))),
         lamp_radiance=i(lamp_radiance, bucket(len(lamps))),
         sensor_to_world=f([s.to_world for s in sensors], (4, 4), len(sensors)),

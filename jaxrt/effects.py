@@ -48,6 +48,7 @@ class Plan:
     solid_angle: bool  # whether flat lights are sampled by it
     area_light: bool
     enclosure: bool
+    environment: tuple[int, int] | None  # width and height of the enclosure's texture, if it is sampled as a light
     bounces: bool
     hide_emitters: bool
     instances: bool
@@ -68,7 +69,7 @@ class Plan:
 
     @property
     def lights(self) -> bool:
-        return bool(self.light_kinds or self.lamp_kinds)
+        return bool(self.light_kinds or self.lamp_kinds or self.environment)
 
     @property
     def mapped(self) -> tuple[str, ...]:
@@ -183,6 +184,8 @@ def plan(scene: Scene, free: str | Iterable[str] | None = (), *, backend: str | 
         "rgb": not grey,
         **{kind: kind in lamp_kinds for kind in LAMPS},
     }
+    if "environment" in overrides:
+        overrides["enclosure"] = overrides.pop("environment")
     for name, value in overrides.items():
         if name not in chosen:
             raise SceneError(f"{name}: no effect of that name to force; there are {', '.join(sorted(chosen))}")
@@ -203,7 +206,10 @@ def plan(scene: Scene, free: str | Iterable[str] | None = (), *, backend: str | 
 
     # Dark ones too: their rows are among those that are drawn from.
     lamps_in = tuple(kind for kind in LAMPS if chosen[kind] and (lamp_rows > 0).any())
-    n_lights = (len(lights) if emitting else 0) + (int((lamp_rows > 0).sum()) if lamps_in else 0)
+    around = np.asarray(scene.radiance_map)[1] if chosen["enclosure"] else 0
+    environment = (int(layout[around, 2]), int(layout[around, 3])) if around else None
+    alone = not (lamps_in or around)  # then dark faces are no rows to choose from
+    n_lights = len(lights) * (emitting or not alone) + int((lamp_rows > 0).sum()) * bool(lamps_in) + bool(around)
     say: Callable[[bool, str, str], str] = lambda on, yes, no: yes if on else no
     films, cameras = {s.film[2] for s in structure.sensors}, {s.kind for s in structure.sensors}
     used = lambda on, what: f"a {what} uses it" if on else f"no {what}"
@@ -221,7 +227,8 @@ def plan(scene: Scene, free: str | Iterable[str] | None = (), *, backend: str | 
         ("light_sampling", sampled, say(sampled, "rays towards lamps", "lamps are met by reflection alone")),
         ("solid_angle", chosen["solid_angle"], say(chosen["solid_angle"], "lamps are large and near", "no such lamps")),
         ("light_selection", n_lights > 1, say(n_lights > 1, "by power", "at most one light")),
-        ("enclosure", chosen["enclosure"], say(enclosure, "constant radiance", "black")),
+        ("enclosure", chosen["enclosure"], say(enclosure, "light from all around", "black")),
+        ("environment", bool(around), say(bool(around), "that light has a texture", "it has no texture")),
         ("hide_emitters", structure.asked().hide_emitters, "from the camera, if the integrator asks"),
         ("bounces", chosen["bounces"], say(bounces, "surfaces reflect", "every reflectance is 0")),
         *((f"rays:{name}", name == backend, why_backend if name == backend else "") for name in BACKENDS),
@@ -253,6 +260,7 @@ def plan(scene: Scene, free: str | Iterable[str] | None = (), *, backend: str | 
         solid_angle=chosen["solid_angle"],
         area_light=chosen["area_light"],
         enclosure=chosen["enclosure"],
+        environment=environment,
         bounces=chosen["bounces"],
         hide_emitters=structure.asked().hide_emitters,
         instances=bool(sizes.size),

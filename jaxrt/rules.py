@@ -118,7 +118,7 @@ class LightRule(eqx.Module):
         def one(t: Stream) -> Node:
             node, light = light_node(world, x, at, t)
             # A light behind another one: G would give the radiance of the one in front.
-            behind = (cast(world, x, node.w).face != light.face) | (light.face < 0)  # and lamps that G cannot see
+            behind = cast(world, x, node.w).face != light.face  # lamps without extent always, for G cannot see them
             return eqx.tree_at(lambda a: a.weight, node, node.weight * jnp.where(behind, 0.0, 1.0))
 
         return _averaged(_nodes(self.n, one, s), self.n)
@@ -142,7 +142,7 @@ class MisRule(eqx.Module):
             share = balance(node.pdf, emitter.density(world, x.position, y, node.w))
             # Emission that it meets is differentiated like that of light samples, see gradient.material.
             slopes = material.slope(functools.partial(reflected, world), at, node.w)
-            form = material.met(world, x.position, y, slopes, ~node.delta & (y.light_density > 0))
+            form = material.met(world, x.position, y, slopes, ~node.delta & (y.light_density > 0) & (y.face >= 0))
             weight = node.weight * form * sg(jnp.where(node.delta, 1.0, share))
             return eqx.tree_at(lambda a: a.weight, node, weight)
 

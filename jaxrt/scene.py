@@ -124,6 +124,7 @@ class Scene(eqx.Module):
     instance_group: Int32[Array, " I"]  # -1 for padding
     groups: Int32[Array, "G 2"]  # first triangle and how many; they follow those that `counts` counts
     lights: Int32[Array, " L"]  # faces that emit, -1 for padding
+    around_to_world: Float[Array, "1 4 4"]  # turns the enclosure's texture
     lamps: Float[Array, "D 9"]  # without extent: position, direction, angles of cutoff and beam (radians), kind
     lamp_radiance: Int32[Array, " D"]  # row of radiance, where their intensity is; 0 for padding
     sensor_to_world: Float[Array, "N 4 4"]

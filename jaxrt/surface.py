@@ -130,6 +130,8 @@ def surface_point(world: World, face: Any, o: Vec3, d: Vec3) -> SurfacePoint:
         tangent = where(given, tangent, frame.s)
         bitangent = where(given, bitangent, frame.t) if plan.bumps else None
     place = coordinates.place(world, row, number, (u, v), out, height) if plan.coordinates else None
+    if world.environment is not None and place is not None:
+        place = Place(where(miss, world.environment.coordinates(d), place.uv), place.row, place.on_face)
     return SurfacePoint(
         position=p + center,
         normal=normal,

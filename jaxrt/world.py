@@ -20,6 +20,7 @@ from .brdf import SPECTRA, MaterialColumns
 from .compiler import program, remembered
 from .effects import Plan
 from .effects import plan as make_plan
+from .environment import Environment
 from .instances import Instances
 from .intersect import Faces, Search, affine, build_search
 from .parts import LAMPS
@@ -56,6 +57,7 @@ class World(eqx.Module):
     present: Bool[Array, ""]  # true, in a way that the compiler cannot know
     instances: Instances | None
     textures: Textures | None
+    environment: Environment | None
     plan: Plan = eqx.field(static=True)
     blocks: tuple[int, ...] = eqx.field(static=True)
 
@@ -199,12 +201,18 @@ def prepare(scene: Scene, plan: Plan) -> World:
     shape = scene.face_shape[face]
     power = sg(area[face] * scene.radiance[scene.finishes[scene.shape_finish[shape], 1]].mean(-1))
     faces_real = (scene.lights >= 0) & (area[face] > 0)
-    faces_real &= bool(plan.light_kinds or not plan.lamp_kinds)  # else only lamps without extent are sampled
+    faces_real &= bool(
+        plan.light_kinds or not (plan.lamp_kinds or plan.environment)
+    )  # else only other lights are sampled
     lamps, of_table = (a if plan.lamp_kinds else a[:0] for a in (scene.lamps, scene.lamp_radiance))
     intensity = scene.radiance[of_table]
     power = jnp.concatenate([power, sg(_power(lamps, intensity.mean(-1), radius))])
     used = jnp.isin(lamps[:, 8].astype(int), jnp.array([LAMPS.index(k) for k in plan.lamp_kinds], int))
     real = jnp.concatenate([faces_real, used & (of_table > 0)])
+    if plan.environment:  # as likely as all other lights together
+        others = jnp.where(real, power, 0).sum()
+        power = jnp.concatenate([power, jnp.where(others > 0, others, 1.0)[None]])
+        real = jnp.concatenate([real, jnp.ones(1, bool)])
     n = jnp.maximum(real.sum(), 1)
     total = jnp.where(real, power, 0).sum()
     chance = jnp.where(total > 0, 0.95 * power / jnp.where(total > 0, total, 1.0) + 0.05 / n, 1.0 / n)
@@ -231,18 +239,23 @@ def prepare(scene: Scene, plan: Plan) -> World:
         u = jnp.where(ball[:, None], jnp.concatenate([axis, u[:, 3:]], -1), u)
     columns = [n, height[:, None], side[:, None], finish[:, None], density[:, None].astype(side.dtype), u, v, *extra]
     rows = jnp.concatenate(columns, -1)
-    rows = jnp.concatenate([rows, jnp.zeros((1, rows.shape[1]), rows.dtype).at[0, FACE["side"]].set(1.0)])
+    last = jnp.zeros((1, rows.shape[1]), rows.dtype).at[0, FACE["side"]].set(1.0)
+    last = last.at[0, FACE["density"]].set(chance[-1]) if plan.environment else last
+    rows = jnp.concatenate([rows, last])
     radiance = scene.radiance * np.where(np.arange(len(scene.radiance)) == 1, plan.enclosure, plan.area_light)[:, None]
     lit = radiance[scene.finishes[scene.shape_finish[shape], 1]][:, : plan.channels]
     joined = lambda *columns: jnp.concatenate([a.astype(side.dtype) for a in columns], -1)
-    of_face, of_lamp = chance[: len(face), None], chance[len(face) :, None]
+    of_face, of_lamp = chance[: len(face), None], chance[len(face) : len(face) + len(lamps), None]
     light_rows = joined(geometry[face], rows[face, :3], density[face][:, None], of_face, lit, face[:, None])
     if plan.textured_lights:
         light_rows = joined(light_rows, scene.radiance_map[scene.finishes[scene.shape_finish[shape], 1]][:, None])
     if plan.lamp_kinds:  # position, direction, cutoff, beam, kind; then as for faces
         none, bright = jnp.zeros((len(lamps), 4)), intensity[:, : plan.channels]
         more = [0 * of_lamp] if plan.textured_lights else []
-        light_rows = jnp.concatenate([light_rows, joined(lamps, none, of_lamp, bright, 0 * of_lamp - 1, *more)])
+        light_rows = jnp.concatenate([light_rows, joined(lamps, none, of_lamp, bright, 0 * of_lamp - 2, *more)])
+    if plan.environment:  # like a face, of number −1
+        row = jnp.zeros((1, light_rows.shape[1])).at[0, 13].set(chance[-1]).at[0, 14 + plan.channels].set(-1.0)
+        light_rows = joined(jnp.concatenate([light_rows, row.astype(side.dtype)]))
     table = MaterialColumns(scene.channels)
     columns = [j for f in plan.fields for j in range(*table[f])]
     if plan.channels == 1:
@@ -271,6 +284,7 @@ def prepare(scene: Scene, plan: Plan) -> World:
         epsilon=epsilon,
         present=scene.counts[0] >= 0,
         instances=instances,
+        environment=Environment.of(scene, plan.environment) if plan.environment else None,
         textures=Textures.of(scene, plan.channels, plan.textures) if plan.textures else None,
         plan=plan,
         blocks=scene.blocks,

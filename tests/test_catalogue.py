@@ -186,3 +186,19 @@ TEXTURED = {
 @pytest.mark.parametrize("name", TEXTURED)
 def test_textures(name, tmp_path, pictures):
     check(tmp_path, SCENE.format(depth=3, emitter=CONSTANT, shape=TEXTURED[name]))
+
+
+ENVMAP = """<emitter type="envmap"><string name="filename" value="{}"/><float name="scale" value=".5"/>
+<transform name="to_world"><rotate x=".6" y=".8" angle="50"/></transform></emitter>"""
+
+
+@pytest.mark.parametrize("lamps", ["alone", "beside"])
+def test_environment_maps(lamps, tmp_path, pictures):
+    around = np.full((16, 32, 3), 0.2, np.float32)
+    around[3:5, 7:9] = 40, 30, 10
+    image.write_exr(tmp_path / "around.exr", around)
+    shape = two(rough("ggx", GOLD), '<bsdf type="diffuse"/>')
+    text = SCENE.format(depth=3, emitter=ENVMAP.format("around.exr" if lamps == "alone" else "bright.exr"), shape=shape)
+    if lamps == "alone":
+        text = text.replace('<emitter type="area"><rgb name="radiance" value="9,8,7"/></emitter>', "")
+    check(tmp_path, text)

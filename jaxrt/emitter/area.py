@@ -20,6 +20,7 @@ from ..radiometry import one_minus_cos
 from ..sampling import warp
 from ..sampling.sobol import Drawn, Stream
 from ..surface import SurfacePoint, _row, _vec, textured
+from ..texture import Place
 from ..vector import Frame, Spectrum, Vec3, cross, dot, normalise, safe_sqrt, where
 from ..world import FACE, FEW_LIGHTS, World
 from . import delta, spherical
@@ -129,8 +130,21 @@ def sample(world: World, x: Vec3, s: Stream | Drawn, pair: int, n: Vec3 | None =
         one = jnp.ones_like(distance)
         lamp = LightSample(w, distance, radiance, pdf, known, face, one, one < 0)
         light = lamp if light is None else where(face < 0, lamp, light)
+    if plan.environment:
+        around = _of_environment(world, x, row[13], s.pair_at(pair))
+        light = around if light is None else where(face == -1, around, light)
     assert light is not None
     return light
+
+
+def _of_environment(world: World, x: Vec3, chance: Any, u: tuple[Any, Any]) -> LightSample:
+    """A direction from x to the enclosure."""
+    assert world.environment is not None
+    w, pdf = jax.lax.stop_gradient(world.environment.sample(u))
+    place = Place(world.environment.coordinates(w), jnp.zeros_like(u[0], jnp.int32), u)
+    radiance = textured(world, _row(world.finishes, 0)[-1], place, Spectrum.full(world.plan.channels, 0.0 * u[0]))
+    one, far = jnp.ones_like(u[0]), 4.0 * world.radius + 1.0 + 0.0 * u[0]
+    return LightSample(w, far, radiance, pdf * chance, pdf * chance, jnp.full_like(one, -1, jnp.int32), one, one < 0)
 
 
 def _of_face(world: World, x: Vec3, row: Any, face: Any, u: tuple[Any, Any], n: Vec3 | None) -> LightSample:
@@ -203,6 +217,9 @@ def may_meet(world: World, o: Vec3, w: Vec3) -> Any:
 def density(world: World, x: Vec3, y: SurfacePoint, w: Vec3) -> Any:
     """Density (sr⁻¹) with which `sample` at x takes the direction ω in which y was met."""
     x, y, w = jax.lax.stop_gradient((x, y, w))
+    around = y.light_density * world.environment.pdf(w) if world.environment is not None else 0.0
+    if not world.plan.light_kinds:
+        return jnp.where(y.face < 0, around, 0.0)
     cos = -dot(y.normal, w)
     hit = jnp.isfinite(y.distance) & (cos > 0)
     distance = jnp.where(hit, y.distance, 1.0)
@@ -223,7 +240,7 @@ def density(world: World, x: Vec3, y: SurfacePoint, w: Vec3) -> Any:
         area = safe_sqrt(dot(twice, twice)) * jnp.where(four, 1.0, 0.5)
         flat = (y.face < world.first("disk")) & (cone > 0)
         pdf = jnp.where(flat, y.light_density * area * cone, pdf)
-    return jnp.where(hit, pdf, 0.0)
+    return jnp.where(hit, pdf, around if world.environment is None else jnp.where(y.face < 0, around, 0.0))
 
 
 __all__ = ["LightSample", "density", "may_meet", "sample"]

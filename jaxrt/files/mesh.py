@@ -15,17 +15,20 @@ from typing import Any, NoReturn
 
 import numpy as np
 
-from ..parts import Description, Diffuse, Mesh, SceneError
+from ..parts import Description, Diffuse, Mesh, MeshAttribute, SceneError
+from .textures import linear
 
 
 @dataclasses.dataclass
 class MeshData:
-    """Triangles: vertices (V, 3), faces (F, 3) int32, unit normals (V, 3) and uvs (V, 2) if the file has them."""
+    """Triangles: vertices (V, 3), faces (F, 3) int32, unit normals (V, 3) and uvs (V, 2) if the file has them, and
+    further values of vertices or faces by name."""
 
     vertices: np.ndarray
     faces: np.ndarray
     normals: np.ndarray | None = None
     uvs: np.ndarray | None = None
+    attributes: dict[str, np.ndarray] = dataclasses.field(default_factory=dict)
 
 
 def read_bytes(path: str | Path) -> bytes:
@@ -101,16 +104,13 @@ class _Element:
     properties: list[tuple[str, np.dtype, np.dtype | None]]  # name, type, and of a list the type of its length
 
 
+@np.errstate(over="ignore", invalid="ignore")  # infinite and missing numbers are refused by name
 def read_ply(path: str | Path) -> MeshData:
-    """A PLY mesh, ASCII or binary. Polygons become fans; per-vertex `nx ny nz` and `u v` or `s t` are read.
+    """A PLY mesh, ASCII or binary. Polygons become fans; per-vertex `nx ny nz` and `u v` or `s t` are read, and colours
+    and the like of vertices and faces, named as Mitsuba does.
 
     Raises `SceneError` for a file that is missing, malformed, truncated, or has data left over.
     """
-    return _read_ply(path)[0]
-
-
-@np.errstate(over="ignore", invalid="ignore")  # infinite and missing numbers are refused by name
-def _read_ply(path: str | Path) -> tuple[MeshData, list[str]]:
     data = read_bytes(path)
     elements, ascii, position = _ply_header(path, data)
     if ascii:  # as one binary type, so that both kinds are unpacked alike
@@ -140,7 +140,30 @@ def _read_ply(path: str | Path) -> tuple[MeshData, list[str]]:
     vertices = column("x", "y", "z")
     faces = _fans(path, index, length, len(vertices))
     normals = column("nx", "ny", "nz") if vertex.keys() >= {"nx", "ny", "nz"} else None
-    return _checked(path, MeshData(vertices, faces, normals, column(*pair) if pair else None)), list(vertex)
+    used = {"x", "y", "z", "nx", "ny", "nz", *(pair or ())}
+    attributes = _attributes("vertex_", {k: v[0] for k, v in vertex.items() if k not in used})
+    of_faces = {k: np.repeat(v, length - 2) for k, (v, size) in face.items() if size is None}
+    attributes |= _attributes("face_", of_faces)
+    return _checked(path, MeshData(vertices, faces, normals, column(*pair) if pair else None, attributes))
+
+
+_POSTFIXES = {"rgb": "_color", "xyz": "", "012": "", "123": ""}
+
+
+def _attributes(of: str, columns: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Columns that belong together, as `vertex_color` of r, g, b, or `vertex_heat` of heat_0. Others are left out."""
+    groups: dict[str, dict[str, np.ndarray]] = {}
+    for name, values in columns.items():
+        name = {"red": "r", "green": "g", "blue": "b"}.get(name, name)
+        base, _, postfix = name.rpartition("_")
+        groups.setdefault(base, {})[postfix] = values.astype(np.float64)
+    found = {}
+    for base, group in groups.items():
+        for letters, suffix in _POSTFIXES.items():
+            if (group.keys() >= set(letters) or group.keys() == {letters[0]}) and (base or letters == "rgb"):
+                name = of + (base + suffix).lstrip("_")
+                found.setdefault(name, np.stack([group[c] for c in letters if c in group], 1))
+    return found
 
 
 def _ply_header(path: str | Path, data: bytes) -> tuple[list[_Element], bool, int]:
@@ -238,12 +261,15 @@ def _fans(path: Any, index: np.ndarray, length: np.ndarray, vertices: int) -> np
 
 
 def load_ply(path: str | Path) -> Description:
-    """A PLY mesh as a scene: one grey diffuse mesh, named after the file. Raises as `read_ply`."""
-    mesh, names = _read_ply(path)
-    notes = (
-        [f"{path}: its vertex colours are not used; the mesh is grey"] if {"red", "green", "blue"} <= set(names) else []
-    )
-    return Description([Mesh(id=Path(path).stem, **vars(mesh))], notes=notes)
+    """A PLY mesh as a scene: a diffuse mesh, named after the file, in its own colours or grey. Raises as `read_ply`."""
+    mesh = read_ply(path)
+    name, bsdf = Path(path).stem, Diffuse()
+    for key in ("face_color", "vertex_color"):
+        if (colour := mesh.attributes.get(key)) is not None and colour.shape[1] == 3:
+            colour = linear(colour / 255.0) if colour.max() > 1 else colour  # 8 bits are coded in sRGB
+            mesh.attributes[key] = np.clip(colour, 0.0, 1.0)
+            bsdf = Diffuse(MeshAttribute(key), id=f"{name}.bsdf")
+    return Description([Mesh(id=name, bsdf=bsdf, **vars(mesh))])
 
 
 # -------------------------------------------------------------------------------------------- OBJ
@@ -372,7 +398,7 @@ def load_obj(path: str | Path) -> Description:
     shapes, unused = [], {}
     for name, span in spans.items():
         used, faces = np.unique(mesh.faces[np.concatenate(span)], return_inverse=True)
-        part = {k: None if a is None else a[used] for k, a in vars(mesh).items() if k != "faces"}
+        part = {k: None if a is None else a[used] for k, a in vars(mesh).items() if k not in ("faces", "attributes")}
         owner = min(objects_of[name])
         alone = len(objects_of[name]) == 1 and len(materials_of[owner]) == 1
         id = owner if owner and alone else f"{name}_mesh" if name else Path(path).stem

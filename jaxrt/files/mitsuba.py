@@ -11,8 +11,8 @@ import numpy as np
 from .. import parts
 from . import mitsuba_xml
 from .mitsuba_context import Context
-from .mitsuba_lamps import LAMPS, lamp
-from .mitsuba_materials import SAMPLING, bsdf, color
+from .mitsuba_lamps import ENCLOSURES, LAMPS, enclosure, lamp
+from .mitsuba_materials import bsdf
 from .mitsuba_nodes import OBJECTS
 from .mitsuba_sensors import integrator, sensor
 from .mitsuba_shapes import shape
@@ -49,7 +49,7 @@ def _describe(document: Document) -> parts.Description:
         objects["integrator"][1].fail("is a second integrator; keep one")
     for element in objects["integrator"]:
         fields |= integrator(ctx, element)
-    enclosure = _enclosure(ctx, [e for e in objects["emitter"] if e.plugin not in LAMPS])
+    around = _enclosure(ctx, [e for e in objects["emitter"] if e.plugin not in LAMPS])
     found = [e for e in objects["emitter"] if e.plugin in LAMPS]
     lamps = [lamp(ctx, element, f"{element.plugin}_{k}" if k else element.plugin) for k, element in enumerate(found)]
     _note_unused(ctx, objects)
@@ -57,7 +57,7 @@ def _describe(document: Document) -> parts.Description:
     return parts.Description(
         shapes=shapes,
         sensors=[made for made, _ in sensors],
-        enclosure=enclosure,
+        enclosure=around,
         lamps=lamps,
         integrator=parts.Integrator(**fields),
         notes=ctx.notes,
@@ -79,14 +79,11 @@ def _enclosure(ctx: Context, elements: list[Element]) -> parts.Enclosure | None:
     for element in elements:
         if element.plugin == "area":
             continue  # it belongs to the shape that references it
-        if element.plugin != "constant":
-            element.fail(f"is not supported; use {', '.join(LAMPS)} or constant, or area in a shape")
+        if element.plugin not in ENCLOSURES:
+            element.fail(f"is not supported; use {', '.join((*LAMPS, *ENCLOSURES))}, or area in a shape")
         if found is not None:
             element.fail("is a second environment; keep one")
-        ctx.transform(element)  # Mitsuba takes it, and it moves nothing
-        radiance = color(ctx, element, "radiance", 1.0, "radiance")
-        ctx.finish(element, SAMPLING)
-        found = ctx.part(element, parts.Enclosure, radiance=radiance, id=ctx.name(element, "enclosure"))
+        found = enclosure(ctx, element)
     return found
 
 
@@ -96,7 +93,7 @@ def _note_unused(ctx: Context, objects: dict[str, list[Element]]) -> None:
         for element in elements:
             if (
                 tag in ("shape", "sensor", "integrator")
-                or element.plugin in ("constant", *LAMPS)
+                or element.plugin in (*ENCLOSURES, *LAMPS)
                 or element in ctx.referenced
             ):
                 continue

@@ -1,4 +1,4 @@
-"""Lamps without extent of a Mitsuba scene as parts, with Mitsuba's defaults."""
+"""Lamps without extent, and light from all around, of a Mitsuba scene as parts, with Mitsuba's defaults."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from .. import parts
 from .mitsuba_context import Context
 from .mitsuba_materials import SAMPLING, color
 from .mitsuba_xml import Element
+from .textures import read_picture
 
 
 def lamp(ctx: Context, element: Element, place: str) -> parts.Lamp:
@@ -54,3 +55,23 @@ LAMPS: dict[str, tuple[Any, Any]] = {
     "spot": (parts.Spot, _spot),
     "directional": (parts.Directional, _directional),
 }
+
+
+ENCLOSURES = ("constant", "envmap")
+
+
+def enclosure(ctx: Context, element: Element) -> parts.Enclosure:
+    to_world = ctx.transform(element)
+    if element.plugin == "constant":  # Mitsuba takes its transform, which moves nothing
+        radiance: Any = color(ctx, element, "radiance", 1.0, "radiance")
+    else:
+        path = ctx.file(element)
+        try:
+            data = read_picture(path)
+        except parts.SceneError as problem:
+            element.fail(problem)
+        scale = ctx.number(element, "scale", 1.0)
+        radiance = ctx.part(element, parts.Bitmap, data=np.maximum(data, 0.0) * scale)
+    ctx.finish(element, {**SAMPLING, "mis_compensation": SAMPLING["sampling_weight"]})
+    name = ctx.name(element, "enclosure")
+    return ctx.part(element, parts.Enclosure, radiance=radiance, to_world=to_world, id=name)

@@ -126,7 +126,7 @@ def _mesh(ctx: Context, element: Element, fields: dict[str, Any]) -> dict[str, A
             faces = _wound(world, faces, normals)
         # back into the shape's space: a normal's way to the world is the inverse transpose
         normals = None if _flat_anyway(world, faces, normals) else _unit(normals @ linear)
-    return {"vertices": vertices, "faces": faces, "normals": normals, "uvs": uvs}
+    return {"vertices": vertices, "faces": faces, "normals": normals, "uvs": uvs, "attributes": mesh.attributes}
 
 
 def _wound(vertices: np.ndarray, faces: np.ndarray, normals: np.ndarray) -> np.ndarray:

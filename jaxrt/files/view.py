@@ -6,6 +6,7 @@ import copy
 import dataclasses
 import itertools
 from collections.abc import Iterable
+from typing import Any
 
 import numpy as np
 
@@ -25,6 +26,7 @@ from ..parts import (
     Sensor,
     Shape,
     Sphere,
+    Texture,
     TwoSided,
 )
 from .transforms import look_at
@@ -67,8 +69,8 @@ def complete(description: Description, *, light: bool = True, orient: bool = Fal
             raise SceneError("the scene is too large to look at; give it a smaller scale")
         sensors = [default_view(points)]
         notes.append(f"no camera: added a view from the front right, {FOV:g} degrees, +y up")
-    lit = any(isinstance(s, Shape) and s.emission is not None and np.any(s.emission > 0) for s in shapes)
-    if not (lit or (enclosure is not None and np.any(enclosure.radiance > 0))):
+    lit = any(isinstance(s, Shape) and s.emission is not None and _shines(s.emission) for s in shapes)
+    if not (lit or (enclosure is not None and _shines(enclosure.radiance))):
         if light:
             enclosure = Enclosure(RADIANCE, id=enclosure.id if enclosure else "")
             box = softbox(sensors[0], points) if size < 1e15 else None
@@ -196,3 +198,7 @@ def closed_outwards(mesh: Mesh) -> bool:
     )
     used = np.unique(part[f[:, 0]])
     return bool((volume[used] > 0).all()) and np.linalg.det(mesh.to_world[:3, :3]) > 0
+
+
+def _shines(radiance: Any) -> bool:
+    return bool(np.any((radiance.mean() if isinstance(radiance, Texture) else radiance) > 0))

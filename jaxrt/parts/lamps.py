@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from .checks import LARGEST, check, scalar, spectrum, unit
+from .checks import LARGEST, SceneError, check, matrix, scalar, spectrum, unit, varying
+from .textures import Bitmap, Texture
 
 LAMPS = ("point", "spot", "directional")
 """Kinds of lamps without extent, in the order of their numbers in tables."""
@@ -76,10 +77,24 @@ Lamp = Point | Spot | Directional
 
 @dataclasses.dataclass
 class Enclosure:
-    """The surface around the scene on which every ray lands: it emits `radiance` and reflects nothing."""
+    """The surface around the scene on which every ray lands: it emits `radiance` and reflects nothing.
+
+    A `Bitmap` is a map of all directions: its columns go around +y of its own space, from −z over +x, its rows from +y
+    down to −y. Its `to_uv` and wrapping have no use here. `to_world` turns it.
+    """
 
     radiance: Any = 0.0
+    to_world: Any = dataclasses.field(default_factory=lambda: np.eye(4))
     id: str = ""
 
     def __post_init__(self):
-        self.radiance = spectrum(self.radiance, f"{self.id or 'enclosure'}.radiance")
+        name = self.id or "enclosure"
+        self.radiance = varying(self.radiance, f"{name}.radiance")
+        self.to_world = matrix(self.to_world, f"{name}.to_world")
+        if isinstance(self.radiance, Texture):
+            if not isinstance(self.radiance, Bitmap):
+                raise SceneError(f"{name}.radiance: is no Bitmap; give one, or a colour")
+            rows = self.radiance.data.shape[0]
+            check(rows > 1, f"{name}.radiance", "has one row; give at least two")
+            middle = [[1.0, 0, 0], [0, (rows - 1) / rows, 0.5 / rows]]  # the first and last row lie on the poles
+            self.radiance = dataclasses.replace(self.radiance, to_uv=middle, wrap="repeat", filter="bilinear")

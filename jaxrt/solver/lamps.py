@@ -27,7 +27,7 @@ PIXELS, CORNERS = 1 << 16, 1 << 12
 def borders(world: World, view: View) -> np.ndarray:
     """Numbers of the pixels whose corners do not all see the same emission."""
     count = int(view.width) * int(view.height)
-    if not world.plan.lights or count * (TAKES + 1) >= 1 << 31:
+    if not world.plan.light_kinds or count * (TAKES + 1) >= 1 << 31:
         return np.zeros(0, np.int32)
     near = _asked(_near, world, view, np.arange(count, dtype=np.int32), PIXELS)
     found = _asked(_differ, world, view, near, CORNERS)

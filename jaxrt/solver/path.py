@@ -146,7 +146,9 @@ def _land(world: World, depths: Depths, state: PathState, s: Stream, face: Any) 
     seen = state.alive & ~passed & (depths.max_depth != 0) & (state.depth >= 0)
     met = state.beta * radiance_of(world, x, wo) * share
     if state.before is not None and state.slopes is not None and plan.lights:
-        met = met * material.met(world, state.before, x, state.slopes, seen & ~state.delta & (x.light_density > 0))
+        met = met * material.met(
+            world, state.before, x, state.slopes, seen & ~state.delta & (x.light_density > 0) & (x.face >= 0)
+        )
     radiance = state.radiance + met.map(lambda c: jnp.where(seen, c, 0.0))
     follows = (state.depth + 1 < depths.max_depth) | (depths.max_depth < 0)
     alive = state.alive & ~passed & (x.face >= 0) & follows

@@ -93,8 +93,8 @@ def test_ply_as_a_scene(tmp_path):
     file = write(tmp_path / "thing.ply", ply("ascii", SQUARE, [[0, 1, 2]], ("red", "green", "blue"), rows))
     scene = m.load_ply(file)
     assert [s.id for s in scene.shapes] == ["thing"]
-    assert len(scene.notes) == 1
-    assert "vertex colours" in scene.notes[0]
+    assert scene.shapes[0].bsdf.reflectance.name == "vertex_color"
+    np.testing.assert_array_equal(scene.shapes[0].attributes["vertex_color"], np.ones((5, 3)))
 
 
 HEAD = "ply\nformat ascii 1.0\n"

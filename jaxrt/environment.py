@@ -1,0 +1,107 @@
+"""Light of an enclosure with a texture: looked up by direction, and sampled where it is bright.
+
+Directions have coordinates (u, v): φ/2π around +y of the enclosure's own space, from −z over +x, and θ/π from +y. The
+density is even in each cell of a grid as fine as the texture, in proportion to what comes from there; a share is spread
+over all directions, so that none that carries light is forgotten.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.lax import stop_gradient as sg
+
+from .sampling.warp import uniform_sphere
+from .texture import LAYOUT
+from .vector import Vec3, normalise, safe_sqrt, where
+
+if TYPE_CHECKING:
+    from .scene import Scene
+
+EVEN = 0.05
+"""Of the samples, those that go into all directions alike."""
+
+
+class Environment(eqx.Module):
+    """The grid (rows, columns): `down` the cumulated share of its rows, `along` of the columns in each row, `density`
+    per unit of u and v."""
+
+    to_world: Any
+    to_local: Any
+    down: Any
+    along: Any
+    density: Any
+
+    @classmethod
+    def of(cls, scene: Scene, size: tuple[int, int]) -> Environment:
+        """`size`: width and height of the enclosure's texture."""
+        (width, height), first = size, scene.textures[scene.radiance_map[1], LAYOUT.index("offset")]
+        texels = sg(jax.lax.dynamic_slice_in_dim(scene.texels, first, width * height)).mean(-1).reshape(height, width)
+        # Means over cells whose corners lie between texels, and what bleeds in from beside them.
+        rows = (jnp.arange(2 * height + 1) / (2.0 * height)) * (height - 1)
+        low = jnp.minimum(rows.astype(jnp.int32), height - 2)
+        part = (rows - low)[:, None].astype(texels.dtype)
+        lines = texels[low] * (1.0 - part) + texels[low + 1] * part  # at edges and middles of the grid's rows
+        light = 0.25 * lines[:-2:2] + 0.5 * lines[1:-1:2] + 0.25 * lines[2::2]
+        light = 0.75 * light + 0.125 * (jnp.roll(light, 1, 1) + jnp.roll(light, -1, 1))
+        theta = (np.arange(height) + 0.5) * np.pi / height
+        light = light * jnp.asarray(np.sin(theta), light.dtype)[:, None]
+        across, total = light.sum(1), light.sum()
+        safe = jnp.where(across > 0, across, 1.0)[:, None]
+        along = jnp.where(across[:, None] > 0, jnp.cumsum(light, 1) / safe, jnp.arange(1, width + 1)[None] / width)
+        lit = total > 0
+        down = jnp.where(lit, jnp.cumsum(across) / jnp.where(lit, total, 1.0), jnp.arange(1, height + 1) / height)
+        density = jnp.where(lit, light * (width * height / jnp.where(lit, total, 1.0)), 1.0)
+        turn = scene.around_to_world[0, :3, :3]
+        return cls(turn, jnp.linalg.inv(turn), down, along, density)
+
+    def coordinates(self, w: Vec3) -> tuple[Any, Any]:
+        """(u, v) of a direction of the world."""
+        m = self.to_local
+        x, y, z = normalise(Vec3(*(m[k, 0] * w.x + m[k, 1] * w.y + m[k, 2] * w.z for k in range(3))))
+        across = x * x + z * z
+        pole = across < 1e-12
+        u = jnp.arctan2(jnp.where(pole, 0.0, x), jnp.where(pole, 1.0, -z)) / (2.0 * np.pi)
+        return u - jnp.floor(u), jnp.arctan2(safe_sqrt(across), y) / np.pi
+
+    def sample(self, u: tuple[Any, Any]) -> tuple[Vec3, Any]:
+        """A direction of the world, and its density (sr⁻¹)."""
+        height, width = self.density.shape
+        even = u[0] < EVEN
+        u = jnp.where(even, u[0] / EVEN, jnp.minimum((u[0] - EVEN) / (1.0 - EVEN), 1.0 - 2.0**-24)), u[1]
+        row, v = _invert(self.down, 0, height, u[1])
+        column, along = _invert(self.along.reshape(-1), row * width, width, u[0])
+        phi, theta = 2.0 * np.pi * (column + along) / width, np.pi * (row + v) / height
+        s = jnp.sin(theta)
+        local = Vec3(jnp.sin(phi) * s, jnp.cos(theta), -jnp.cos(phi) * s)
+        m = self.to_world
+        turned = normalise(Vec3(*(m[k, 0] * local.x + m[k, 1] * local.y + m[k, 2] * local.z for k in range(3))))
+        w = where(even, uniform_sphere(u), turned)
+        return w, self.pdf(w)
+
+    def pdf(self, w: Vec3) -> Any:
+        """Density (sr⁻¹) of a direction of the world."""
+        height, width = self.density.shape
+        u, v = self.coordinates(w)
+        column = jnp.clip((u * width).astype(jnp.int32), 0, width - 1)
+        row = jnp.clip((v * height).astype(jnp.int32), 0, height - 1)
+        s = jnp.maximum(jnp.sin(np.pi * v), 1e-6)
+        cell = self.density.reshape(-1).at[row * width + column].get(mode="clip")
+        return EVEN / (4.0 * np.pi) + (1.0 - EVEN) * cell / (2.0 * np.pi**2 * s)
+
+
+def _invert(cdf: Any, offset: Any, n: int, u: Any) -> tuple[Any, Any]:
+    """The first of n entries from `offset` on that exceeds u, and where u lies between the one before and it."""
+    low, high = jnp.zeros_like(u, jnp.int32), jnp.full_like(u, n - 1, jnp.int32)
+    at = lambda k: cdf.at[offset + k].get(mode="clip", wrap_negative_indices=False)
+    for _ in range(max(n - 1, 1).bit_length()):
+        middle = (low + high) // 2
+        above = at(middle) > u
+        low, high = jnp.where(above, low, jnp.minimum(middle + 1, n - 1)), jnp.where(above, middle, high)
+    before = jnp.where(low > 0, at(jnp.maximum(low - 1, 0)), 0.0)
+    width = at(low) - before
+    return low, jnp.clip((u - before) / jnp.where(width > 0, width, 1.0), 0.0, 1.0 - 2.0**-23)
