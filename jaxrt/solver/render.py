@@ -23,11 +23,11 @@ from ..sampling.sobol import seed_of
 from ..scene import Scene, in_working_precision
 from ..world import World, prepared
 from . import path
-from .begin import View
+from .begin import Picture
 from .choose import choose
 from .field import for_picture
 from .lamps import TAKES, borders
-from .measure import PASS, depths_of, lanes_of, view_of
+from .measure import PASS, depths_of, lanes_of, seen_by, view_of
 from .solution import Solution, mean_and_variance, predicted_error, standard_error
 
 
@@ -94,7 +94,7 @@ def _specialised(scene: Scene) -> Plan:
 
 
 @remembered
-def _view(scene: Scene, sensor: int) -> View:
+def _view(scene: Scene, sensor: int) -> Picture:
     view = in_working_precision(view_of(scene, sensor))
     return jax.device_put(dataclasses.replace(view, width=np.int32(view.width), height=np.int32(view.height)))
 
@@ -180,7 +180,7 @@ def render(  # pyright: ignore[reportInconsistentOverload]  # options are those 
 
 
 def _picture(
-    world: World, view: View, depths: path.Depths, key: Any, spp: int, lanes: int, field: Any,
+    world: World, view: Picture, depths: path.Depths, key: Any, spp: int, lanes: int, field: Any,
     pool: ThreadPoolExecutor, progress: Callable[[float], None] | None,
 ) -> Solution:  # fmt: skip
     """The picture of one view, block by block of pixels on the threads of `pool`."""
@@ -191,6 +191,7 @@ def _picture(
     pixels = min(PIXELS, 1 << max(0, (SAMPLES // spp).bit_length() - 1))
     while pixels > 1 and n < pixels * lanes * threads * 4:
         pixels //= 2
+    depths = seen_by(view, depths)
     edges = np.zeros(0, np.int32) if depths.hide_emitters else borders(world, view)
     again = (edges + np.arange(1, TAKES + 1, dtype=np.int32)[:, None] * np.int32(n)).ravel()
     total, size = n + len(again), lanes * pixels
