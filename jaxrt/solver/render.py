@@ -23,6 +23,7 @@ from ..sampling.sobol import seed_of
 from ..scene import Scene, in_working_precision
 from ..world import World, prepared
 from . import path
+from .aov import aovs, checked
 from .begin import Picture
 from .choose import choose
 from .field import for_picture
@@ -117,6 +118,7 @@ def render(  # pyright: ignore[reportInconsistentOverload]  # options are those 
     plan: Plan | None = None,
     chunk: int | None = None,
     memory: float | None = None,
+    aov: Sequence[str] = (),
     progress: Callable[[float], None] | None = None,
 ) -> Solution | list[Solution]:
     """A picture with its standard error; of several sensors a list of them, which look into one field.
@@ -125,8 +127,9 @@ def render(  # pyright: ignore[reportInconsistentOverload]  # options are those 
     solved first; auto chooses and says why in `stats`. `max_depth` as Mitsuba counts it (1: emission only; −1: no end).
     `plan`: by default specialised on all values of the scene. `chunk`: pixels in flight a core, by default what is
     fastest; the same seed, plan and chunk give the same bits, another chunk the same within rounding. `memory`: bytes
-    that picture and pixels in flight may take, by default a quarter of the machine's. `progress`: called with the share
-    done. Raises `SceneError` for wrong arguments.
+    that picture and pixels in flight may take, by default a quarter of the machine's. `aov`: what `Solution.aovs`
+    is to hold of the first surface that each pixel sees: depth, normal, albedo, uv, position, face. `progress`:
+    called with the share done. Raises `SceneError` for wrong arguments.
     """
     if method not in ("auto", "path", "field"):
         raise SceneError(f"method: {method!r} is not known; give auto, path or field")
@@ -137,7 +140,7 @@ def render(  # pyright: ignore[reportInconsistentOverload]  # options are those 
     spp = int(spp)
     sensors = [sensor] if isinstance(sensor, (int, np.integer)) else list(sensor)
     views, depths = [_view(scene, k) for k in sensors], depths_of(scene, max_depth, rr_depth)
-    plan = plan or _specialised(scene)
+    names, plan = checked(aov, views), plan or _specialised(scene)
     threads = cores()
     memory = machine_memory() / 4 if memory is None else memory
     chunk = lanes_of(plan) if chunk is None else chunk
@@ -159,6 +162,7 @@ def render(  # pyright: ignore[reportInconsistentOverload]  # options are those 
         for k, (view, n) in enumerate(zip(views, lanes, strict=True)):
             part = progress and (lambda done, k=k: progress((k + done) / len(views)))
             found.append(_picture(world, view, depths, key, spp, n, field, pool, part))
+            found[-1].aovs = aovs(world, view, key, spp, names, pool)
             now, made = time.perf_counter(), seconds_spent() - spent
             run = now - began - made - seconds_solve
             found[-1].stats |= {"seconds_compile": made, "seconds_solve": seconds_solve, "seconds_run": run}
