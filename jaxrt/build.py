@@ -34,7 +34,8 @@ from .parts import (
     Texture,
     TwoSided,
 )
-from .scene import KINDS, Scene, SensorStructure, Structure
+from .scene import KINDS, Scene, Structure
+from .sensor.rows import Rows
 
 SQUARE = np.array([[0.0, 0], [1, 0], [1, 1], [0, 1]])
 _SQUARE = [[-1, -1, 0, 2, 0, 0, 0, 2, 0]]  # corner, first edge, second edge
@@ -223,11 +224,10 @@ def build(
         if kind != "triangle":
             patches.append(_padded(np.concatenate([np.zeros((0, 9)), *(r for _, r in by_kind[kind])]), block))
 
-    sensor_ids = [names.part(s.id or "sensor") for s in sensors]
-    for k, name in enumerate(sensor_ids):
-        names.add(f"{name}.to_world", "sensor_to_world", k)
-        for column, key in enumerate(("fov", "near_clip", "far_clip", "aperture_radius", "focus_distance")):
-            names.add(f"{name}.{key}", "lens", k, (column, column + 1), True)
+    spans = {name: tuple(span) for name, *span in layout}
+    numbers = {id(s): k for k, s in enumerate(placed)}
+    views = Rows(names, lambda shape: spans[ids[numbers[id(shape)]]] if id(shape) in numbers else None)
+    sensor_structures = views.structures(sensors)
 
     real = np.float64 if jax.config.jax_enable_x64 else np.float32  # pyright: ignore[reportAttributeAccessIssue]
     put = jax.device_put  # unlike jnp.asarray, compiles nothing for a new shape
@@ -266,28 +266,21 @@ def build(
         around_to_world=f([enclosure.to_world], (4, 4), 1),
         lamps=f([lamp.row() for lamp in lamps] or np.zeros((0, 9)), (9,), bucket(len(lamps))),
         lamp_radiance=i(lamp_radiance, bucket(len(lamps))),
-        sensor_to_world=f([s.to_world for s in sensors], (4, 4), len(sensors)),
-        lens=f([(s.fov, s.near, s.far, s.aperture_radius, s.focus_distance) for s in sensors], (5,), len(sensors)),
+        sensor_to_world=f(views.to_world, (4, 4), len(views.to_world)),
+        lens=f(views.lens, (5,), len(views.lens)),
+        targets=f(join(views.targets, 10), (10,), sum(map(len, views.targets))),
         blocks=tuple(blocks),
         copies=copies,
         structure=Structure(
             slots=tuple(names.slots.items()),
             shapes=tuple(layout),
-            sensors=tuple(map(_structure, sensors)),
-            sensor_ids=tuple(sensor_ids),
+            sensors=sensor_structures,
+            sensor_ids=tuple(views.ids),
             integrator=(integrator.max_depth, integrator.rr_depth, integrator.hide_emitters, integrator.spp),
             source=source,
         ),
     )
     return dataclasses.replace(scene, plan=plan(scene))
-
-
-def _structure(s: Sensor) -> SensorStructure:
-    film = s.film
-    x, y, w, h = film.crop or (0, 0, film.width, film.height)
-    window = (x + s.principal_point[0] * w, y + s.principal_point[1] * h, float(w), float(h))
-    made = (film.width, film.height, film.filter, float(film.radius or 0.5), float(film.stddev))
-    return SensorStructure(s.kind, s.fov_axis, made, window)
 
 
 _LOCAL = {

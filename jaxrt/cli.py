@@ -177,6 +177,10 @@ def _parser() -> argparse.ArgumentParser:
         help="number of the scene's sensor, from 0; several (0,2) or all write out-I.exr and share one field",
     )  # fmt: skip
     add("--memory", metavar="MB", type=_whole(1), help="what the render may take; default: a quarter of the machine's")
+    add(
+        "--aov", metavar="NAMES", type=lambda text: text.split(","), default=[],
+        help="put into the EXR what pixels see first: any of depth,normal,albedo,uv,position,face",
+    )  # fmt: skip
     add("--exposure", metavar="E", type=_stops, default=0.0, help="brightness of the PNG in stops")
     render.set_defaults(run=_render)
 
@@ -211,6 +215,7 @@ def _render(args: argparse.Namespace) -> None:
             max_depth=args.max_depth,
             sensor=list(sensors),
             memory=args.memory * 1e6 if args.memory else None,
+            aov=args.aov,
             progress=progress,
         )
     for sensor, sol in zip(sensors, found, strict=True):

@@ -20,7 +20,7 @@ from .intersect import BACKENDS, choose, refusal
 from .near_lamps import solid_angle_pays
 from .parts import LAMPS, SceneError
 from .parts.textures import TEXTURES
-from .scene import CAMERAS, KINDS, Scene
+from .scene import KINDS, SENSORS, Scene
 
 
 @jax.tree_util.register_static
@@ -211,7 +211,8 @@ def plan(scene: Scene, free: str | Iterable[str] | None = (), *, backend: str | 
     alone = not (lamps_in or around)  # then dark faces are no rows to choose from
     n_lights = len(lights) * (emitting or not alone) + int((lamp_rows > 0).sum()) * bool(lamps_in) + bool(around)
     say: Callable[[bool, str, str], str] = lambda on, yes, no: yes if on else no
-    films, cameras = {s.film[2] for s in structure.sensors}, {s.kind for s in structure.sensors}
+    films = {s.film[2] for s in structure.sensors}
+    cameras = {part.kind for s in structure.sensors for part in (s, *s.parts)}
     used = lambda on, what: f"a {what} uses it" if on else f"no {what}"
     reasons = [
         ("rgb", chosen["rgb"], say(chosen["rgb"], f"{scene.channels} channels", "grey: one channel")),
@@ -232,7 +233,7 @@ def plan(scene: Scene, free: str | Iterable[str] | None = (), *, backend: str | 
         ("hide_emitters", structure.asked().hide_emitters, "from the camera, if the integrator asks"),
         ("bounces", chosen["bounces"], say(bounces, "surfaces reflect", "every reflectance is 0")),
         *((f"rays:{name}", name == backend, why_backend if name == backend else "") for name in BACKENDS),
-        *((f"sensor:{k}", k in cameras, used(k in cameras, "sensor")) for k in CAMERAS),
+        *((f"sensor:{k}", k in cameras, used(k in cameras, "sensor")) for k in SENSORS),
         *((f"film:{k}", k in films, used(k in films, "film")) for k in ("box", "tent", "gaussian")),
     ]
     wanted = {f for name in lobes for f in LOBES[name].fields}

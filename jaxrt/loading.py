@@ -12,7 +12,7 @@ from .build import build
 from .files import load_description
 from .files.view import scene_points
 from .parts import Description
-from .scene import Scene
+from .scene import CAMERAS, Scene
 
 
 def load(path: str | Path, /, **defaults: Any) -> Scene:
@@ -39,7 +39,9 @@ def _beyond(description: Description) -> list[str]:
     """Sensors whose far end would cut something off: it is drawn all the same, and said."""
     world = np.insert(scene_points(description.shapes), 3, 1.0, axis=1)
     notes = []
-    for sensor in description.sensors:
+    for sensor in (part for s in description.sensors for part in (s.sensors or [s])):
+        if sensor.kind not in CAMERAS:
+            continue
         depth = float((world @ np.linalg.inv(sensor.to_world).T)[:, 2].max())
         if depth > sensor.far:
             name = sensor.id or "sensor"

@@ -29,6 +29,8 @@ FACE = {"n": 0, "height": 3, "side": 4, "finish": 5, "density": 6, "u": 7, "v": 
 """Columns of `World.faces`. Of a curved face: n is its centre (or foot), height its radius, u its axis."""
 
 CAMERAS = ("perspective", "thinlens", "orthographic")
+METERS = ("radiancemeter", "irradiancemeter", "distant")
+SENSORS = (*CAMERAS, *METERS, "batch")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -55,17 +57,24 @@ class SensorStructure:
     fov_axis: str
     film: tuple[Any, ...]  # width, height, filter, radius, stddev
     window: tuple[float, float, float, float]  # the picture's corner on the film it is cut from, and that film's size
+    row: int = 0  # of tables of sensors
+    area: tuple[str, str, int, int] | None = None  # what it measures over: table, kind of faces, first, past the last
+    parts: tuple[SensorStructure, ...] = ()  # side by side in a batch
 
     def sized(self, width: int, height: int) -> SensorStructure:
         """The same view in other pixels."""
         across, down = width / self.film[0], height / self.film[1]
         x, y, w, h = self.window
         window = (x * across, y * down, w * across, h * down)
-        return dataclasses.replace(self, film=(width, height, *self.film[2:]), window=window)
+        views = len(self.parts) or 1
+        if width % views:
+            raise SceneError(f"size: {width} pixels across are not {views} views side by side; give a multiple")
+        parts = tuple(part.sized(width // views, height) for part in self.parts)
+        return dataclasses.replace(self, film=(width, height, *self.film[2:]), window=window, parts=parts)
 
     def compiled(self) -> SensorStructure:
         """What a program depends on: sizes are run-time numbers."""
-        return dataclasses.replace(self, film=(0, 0, *self.film[2:]), window=(0.0, 0.0, 0.0, 0.0))
+        return SensorStructure(self.kind, self.fov_axis, (0, 0, *self.film[2:]), (0.0, 0.0, 0.0, 0.0))
 
     def as_film(self) -> Film:
         return Film(*self.film)
@@ -129,6 +138,7 @@ class Scene(eqx.Module):
     lamp_radiance: Int32[Array, " D"]  # row of radiance, where their intensity is; 0 for padding
     sensor_to_world: Float[Array, "N 4 4"]
     lens: Float[Array, "N 5"]  # fov (degrees), near, far, aperture radius, focus distance
+    targets: Float[Array, "T 10"]  # of sensors, beside the scene's surfaces: rows of `World.geometry`, and the side
     blocks: tuple[int, ...] = eqx.field(static=True)  # padded number of faces of each kind
     copies: int = eqx.field(static=True)  # padded number of triangles that instances stand for
     structure: Structure = eqx.field(static=True)

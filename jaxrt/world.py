@@ -143,20 +143,46 @@ def face_areas(geometry: Any, blocks: tuple[int, ...]) -> Any:
     return safe_norm(jnp.cross(geometry[:, 3:6], geometry[:, 6:9])) * jnp.asarray(factor, geometry.dtype)
 
 
+def _boxes(scene: Scene, geometry: Any) -> tuple[Any, Any]:
+    """Low and high corners of the box of every face, (P, 3) each."""
+    boxes = []
+    for kind, n in zip(KINDS, scene.blocks, strict=True):
+        o, a, b = (geometry[scene.offset(kind) : scene.offset(kind) + n, k : k + 3] for k in (0, 3, 6))
+        far = {"triangle": [o + a, o + b], "parallelogram": [o + a, o + b, o + a + b], "cylinder": [o + a]}
+        corners, reach = jnp.stack([o, *far.get(kind, [])]), 0.0  # and how far the face reaches around each
+        if kind == "disk":
+            reach = jnp.sqrt(a * a + b * b)
+        elif kind == "sphere":
+            reach = jnp.linalg.norm(a, axis=-1, keepdims=True)
+        elif kind == "cylinder":
+            reach = jnp.linalg.norm(b, axis=-1, keepdims=True) * jnp.sqrt(jnp.maximum(1.0 - _unit(a) ** 2, 0.0))
+        boxes.append((corners.min(0) - reach, corners.max(0) + reach))
+    return jnp.concatenate([low for low, _ in boxes]), jnp.concatenate([high for _, high in boxes])
+
+
 def _bounds(scene: Scene, geometry: Any, instances: Instances | None) -> tuple[Any, Any, Any]:
-    """Centre and radius of a sphere around all faces, and the largest coordinate."""
-    o, a, b = geometry[:, :3], geometry[:, 3:6], geometry[:, 6:9]
+    """Centre and radius of the sphere around the box that holds all faces, and the largest coordinate."""
     used = jnp.concatenate([jnp.arange(n) < scene.counts[k] for k, n in enumerate(scene.blocks) if n])
-    curved = jnp.arange(scene.faces) >= scene.offset("disk")
-    reach = jnp.abs(a) + jnp.abs(b) + jnp.abs(_unit(jnp.cross(a, b))) * jnp.linalg.norm(b, axis=-1, keepdims=True)
-    low = jnp.where(curved[:, None], o - reach, o + jnp.minimum(a, 0) + jnp.minimum(b, 0))
-    high = jnp.where(curved[:, None], o + reach, o + jnp.maximum(a, 0) + jnp.maximum(b, 0))
+    low, high = _boxes(scene, geometry)
     boxes = [(jnp.where(used[:, None], low, jnp.inf), jnp.where(used[:, None], high, -jnp.inf))]
     if instances is not None:
         boxes.append(instances.boxes(low, high))
     low = jnp.concatenate([box[0] for box in boxes]).min(0)
     high = jnp.concatenate([box[1] for box in boxes]).max(0)
     return 0.5 * (low + high), 0.5 * jnp.linalg.norm(high - low), jnp.maximum(jnp.abs(low), jnp.abs(high)).max()
+
+
+def front_and_faces(scene: Scene, plan: Plan) -> Any:
+    """Rows of `World.geometry`, and which side is the front, (P, 10)."""
+    geometry, side, _ = _face_geometry(scene, plan)
+    return jnp.concatenate([geometry, side[:, None]], -1)
+
+
+def bounding_sphere(scene: Scene, plan: Plan) -> Any:
+    """Centre and radius of the sphere around the box that holds all faces, (4,). Held fixed."""
+    instances = Instances.of(scene) if plan.instances else None
+    center, radius, _ = _bounds(scene, *jax.lax.stop_gradient((_face_geometry(scene, plan)[0], instances)))
+    return jnp.append(center, radius)
 
 
 def _light_bounds(scene: Scene, geometry: Any, real: Any) -> Any:

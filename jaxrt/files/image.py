@@ -16,6 +16,9 @@ from ..parts import SceneError
 unfinished: set[str] = set()
 """Files that are being written, by their temporary names."""
 
+AOVS = {"depth": "", "normal": "XYZ", "albedo": "RGB", "uv": "UV", "position": "XYZ", "face": ""}
+"""What `render` may give of each pixel beside its radiance, and the names of its channels in an EXR file."""
+
 _LARGEST = 1 << 15  # pixels to a side, as `Film` has it; a damaged header may claim anything
 
 
@@ -63,8 +66,10 @@ def write_exr(
     image: np.ndarray,
     stderr: np.ndarray | None = None,
     attributes: Mapping[str, str | float | int] | None = None,
+    aovs: Mapping[str, np.ndarray] | None = None,
 ) -> None:
-    """Write linear radiance (H, W, 1 or 3) as float32 channels R, G, B; its standard error as stderr.R/G/B.
+    """Write linear radiance (H, W, 1 or 3) as float32 channels R, G, B; its standard error as stderr.R/G/B; of `aovs`,
+    named as in `AOVS`, depth, normal.X, ... (a face's number is exact up to 2²⁴).
 
     One channel is written three times, so that every viewer shows it. `attributes` go into the header;
     whole numbers beyond 32 bits as text, for EXR has no others. Raises `SceneError` for another shape,
@@ -78,6 +83,11 @@ def write_exr(
         channels["stderr"] = np.ascontiguousarray(_rgb(stderr, "stderr"))
         if channels["stderr"].shape != channels["RGB"].shape:
             raise SceneError(f"stderr has shape {np.shape(stderr)}, image {np.shape(image)}; give the same")
+    for name, values in (aovs or {}).items():
+        suffixes = [f".{c}" for c in AOVS[name]] or [""]
+        planes = np.asarray(values, np.float32).reshape(*channels["RGB"].shape[:2], -1)
+        planes = np.broadcast_to(planes, (*planes.shape[:2], len(suffixes)))
+        channels |= {name + c: np.ascontiguousarray(planes[..., k]) for k, c in enumerate(suffixes)}
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
     own = {*header, "channels", "dataWindow", "displayWindow", "lineOrder", "pixelAspectRatio", "version"}
     for key, value in (attributes or {}).items():

@@ -43,7 +43,8 @@ def _describe(document: Document) -> parts.Description:
     shapes = [s for s in made if not isinstance(s, parts.Group)]  # a group alone is not in the scene
     if not shapes:
         root.fail("has no shapes; add a <shape>")
-    sensors = _sensors(ctx, objects["sensor"])
+    inside = [(e, made[k]) for k, parent in enumerate(objects["shape"]) for e in ctx.children(parent, "sensor")]
+    sensors = _sensors(ctx, [(element, None) for element in objects["sensor"]] + inside)
     fields: dict[str, Any] = {"spp": sensors[0][1]} if sensors else {}
     if len(objects["integrator"]) > 1:
         objects["integrator"][1].fail("is a second integrator; keep one")
@@ -64,13 +65,15 @@ def _describe(document: Document) -> parts.Description:
     )
 
 
-def _sensors(ctx: Context, elements: list[Element]) -> list[tuple[parts.Sensor, int]]:
+def _sensors(ctx: Context, elements: list[tuple[Element, Any]]) -> list[tuple[parts.Sensor, int]]:
+    """The parts and samples of sensors, each with the shape that it stands in, or None."""
     sensors, nameless = [], 0
-    for element in elements:
-        sensors.append(sensor(ctx, element, f"sensor_{nameless}" if nameless else "sensor"))
+    for element, standing in elements:
+        sensors.append(sensor(ctx, element, f"sensor_{nameless}" if nameless else "sensor", standing))
         nameless += not element.id
     if len({samples for _, samples in sensors}) > 1:
-        ctx.notes.append(f"{elements[0].node.label}: its sample_count is taken for all sensors, whose own ones differ")
+        label = elements[0][0].node.label
+        ctx.notes.append(f"{label}: its sample_count is taken for all sensors, whose own ones differ")
     return sensors
 
 

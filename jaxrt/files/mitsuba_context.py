@@ -84,12 +84,12 @@ class Context:
         self.referenced.add(self.ids[child.id])
         return self.ids[child.id]
 
-    def children(self, element: Element, tag: str) -> list[Element]:
-        """The objects with that tag, nested or referenced, in the order of the file."""
+    def children(self, element: Element, *tags: str) -> list[Element]:
+        """The objects with one of those tags, nested or referenced, in the order of the file."""
         found = []
         for index, (_, child) in enumerate(element.children):
             target = self.resolve(child)
-            if target.tag == tag:
+            if target.tag in tags:
                 self._taken.setdefault(element, set()).add(index)
                 found.append(target)
         return found

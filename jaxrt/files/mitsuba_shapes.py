@@ -14,11 +14,12 @@ from .mitsuba_xml import Element
 
 
 def shape(ctx: Context, element: Element, place: str) -> parts.Shape | parts.Group | parts.Instance:
-    """The part of a <shape>. `place`: its name if it has no id."""
-    if element.plugin == "shapegroup":
-        return ctx.once(element, lambda: _group(ctx, element, place))
-    if element.plugin == "instance":
-        return _instance(ctx, element, place)
+    """The part of a <shape>, the same each time. `place`: its name if it has no id."""
+    make = {"shapegroup": _group, "instance": _instance}.get(element.plugin, _shape)
+    return ctx.once(element, lambda: make(ctx, element, place))
+
+
+def _shape(ctx: Context, element: Element, place: str) -> parts.Shape:
     if element.plugin not in _SHAPES:
         element.fail(f"is not supported; use {', '.join(_SHAPES)}, shapegroup or instance")
     name = ctx.name(element, place)
@@ -34,6 +35,7 @@ def shape(ctx: Context, element: Element, place: str) -> parts.Shape | parts.Gro
         "emission_id": emission_id,
         "bsdf": bsdf(ctx, reflector, f"{name}.bsdf") if reflector else default,
     }
+    ctx.child(element, "sensor")  # made when all shapes are
     make, more = _SHAPES[element.plugin]
     ctx.part(element, parts.Shape, **fields)  # checked before it is computed with
     fields |= more(ctx, element, fields) if more else {}
@@ -44,6 +46,8 @@ def shape(ctx: Context, element: Element, place: str) -> parts.Shape | parts.Gro
 def _group(ctx: Context, element: Element, place: str) -> parts.Group:
     name = ctx.name(element, place)
     members = [shape(ctx, member, f"{name}.shape_{k}") for k, member in enumerate(ctx.children(element, "shape"))]
+    if any(ctx.children(member, "sensor") for member in ctx.children(element, "shape")):
+        element.fail("holds a sensor; put one into shapes of the scene only")
     if any(isinstance(member, (parts.Group, parts.Instance)) for member in members):
         element.fail("holds a group or an instance; put the shapes themselves there")
     ctx.finish(element)

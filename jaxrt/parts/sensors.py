@@ -1,13 +1,17 @@
-"""Cameras and their films."""
+"""Cameras, meters and their films."""
 
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from typing import Any, Literal
 
 import numpy as np
 
-from .checks import check, matrix, scalar
+from .checks import LARGEST, check, matrix, scalar
+from .shapes import Disk, Rectangle, Shape, Sphere
+
+_KINDS = ("perspective", "thinlens", "orthographic", "radiancemeter", "irradiancemeter", "distant", "batch")
 
 
 @dataclasses.dataclass
@@ -44,14 +48,22 @@ class Film:
 
 @dataclasses.dataclass
 class Sensor:
-    """A camera at the origin of its own space, looking along +z with +y up (so +x is left in the picture).
+    """A camera at the origin of its own space, looking along +z with +y up (so +x is left in the picture), or a meter.
 
-    kind: perspective, thinlens or orthographic. `fov` in degrees along `fov_axis` (x, y, smaller,
+    kind: perspective, thinlens or orthographic; radiancemeter, which measures along the one ray from its origin along
+    +z; irradiancemeter: mean irradiance on the front of the shape `target`, which need not be in the scene; distant:
+    what leaves the scene along −z, averaged over the cross section of the sphere around its bounding box, or over
+    `target`, a point or a shape, where that is given; batch: `sensors` side by side in one film. Every pixel of a
+    meter measures the same; but those of an irradiancemeter on a rectangle, disk or sphere are laid over it.
+
+    `fov` in degrees along `fov_axis` (x, y, smaller,
     larger or diagonal); `aperture_radius` and `focus_distance` for thinlens. An orthographic camera
     sees [-1, 1] along x of its own space. `principal_point`: what the film is shifted by, in its widths and heights.
     """
 
-    kind: Literal["perspective", "thinlens", "orthographic"] = "perspective"
+    kind: Literal["perspective", "thinlens", "orthographic", "radiancemeter", "irradiancemeter", "distant", "batch"] = (
+        "perspective"
+    )
     to_world: Any = dataclasses.field(default_factory=lambda: np.eye(4))
     fov: float = 50.0
     fov_axis: str = "x"
@@ -62,11 +74,15 @@ class Sensor:
     principal_point: tuple[float, float] = (0.0, 0.0)
     film: Film = dataclasses.field(default_factory=Film)
     id: str = ""
+    target: Any = None
+    sensors: Sequence[Sensor] = ()
 
     def __post_init__(self):
         name = self.id or "sensor"
         self.to_world = matrix(self.to_world, f"{name}.to_world")
-        check(self.kind in ("perspective", "thinlens", "orthographic"), name, f"unknown kind {self.kind!r}")
+        check(self.kind in _KINDS, name, f"unknown kind {self.kind!r}")
+        self._check_target(name)
+        self._check_batch(name)
         axes = ("x", "y", "smaller", "larger", "diagonal")
         check(self.fov_axis in axes, f"{name}.fov_axis", f"{self.fov_axis!r} is not one of {', '.join(axes)}")
         self.fov = scalar(self.fov, f"{name}.fov")
@@ -80,3 +96,38 @@ class Sensor:
         check(
             shift.shape == (2,) and bool(np.isfinite(shift).all()), f"{name}.principal_point", "is two finite numbers"
         )
+
+    def _check_target(self, name: str) -> None:
+        self._check_size(name, self.film.width, self.film.height)
+        if self.kind == "irradiancemeter":
+            check(isinstance(self.target, Shape), f"{name}.target", "is not a shape; give that whose front measures")
+        elif self.kind != "distant":
+            check(self.target is None, f"{name}.target", f"has no use in a {self.kind}; leave it out")
+        elif self.target is not None and not isinstance(self.target, Shape):
+            self.target = np.asarray(self.target, np.float64)
+            good = self.target.shape == (3,) and bool((np.abs(self.target) <= LARGEST).all())
+            check(good, f"{name}.target", "is no target; give a shape, or three finite numbers")
+
+    def _check_size(self, name: str, width: int, height: int) -> None:
+        size = f"has {width} x {height} pixels"
+        if self.kind in ("radiancemeter", "distant"):
+            check(1 in (width, height), f"{name}.film", f"{size} of one value; give it 1 x 1")
+        elif self.kind == "irradiancemeter" and not isinstance(self.target, Rectangle | Disk | Sphere):
+            mapped = f"{size}, which only go over a rectangle, disk or sphere; give it 1 x 1"
+            check(width * height == 1, f"{name}.film", mapped)
+
+    def _check_batch(self, name: str) -> None:
+        self.sensors, n = list(self.sensors), len(self.sensors)
+        if self.kind != "batch":
+            check(n == 0, f"{name}.sensors", f"have no use in a {self.kind}; leave them out")
+            return
+        check(n > 0, f"{name}.sensors", "are none; give at least one")
+        for part in self.sensors:
+            good = isinstance(part, Sensor) and part.kind != "batch"
+            check(good, f"{name}.sensors", "hold what is no camera or meter; put its sensors there themselves")
+        check(not any(s.film.crop for s in (self, *self.sensors)), f"{name}.film", "is cropped; show the whole of it")
+        wide = f"is {self.film.width} pixels wide, which {n} views side by side do not share; give a multiple of {n}"
+        check(self.film.width % n == 0, f"{name}.film", wide)
+        for part in self.sensors:
+            if part.kind == "irradiancemeter":
+                part._check_size(name, self.film.width // n, self.film.height)

@@ -14,7 +14,7 @@ from ..compiler import program, remembered
 from ..sampling.sobol import Drawn
 from ..surface import radiance_of, surface_point
 from ..world import World
-from .begin import View
+from .begin import Picture
 
 TAKES = 8
 """How often a pixel with a lamp's border in it is taken."""
@@ -24,17 +24,17 @@ PIXELS, CORNERS = 1 << 16, 1 << 12
 
 
 @remembered
-def borders(world: World, view: View) -> np.ndarray:
+def borders(world: World, view: Picture) -> np.ndarray:
     """Numbers of the pixels whose corners do not all see the same emission."""
     count = int(view.width) * int(view.height)
-    if not world.plan.light_kinds or count * (TAKES + 1) >= 1 << 31:
+    if not world.plan.light_kinds or view.searches or count * (TAKES + 1) >= 1 << 31:
         return np.zeros(0, np.int32)
     near = _asked(_near, world, view, np.arange(count, dtype=np.int32), PIXELS)
     found = _asked(_differ, world, view, near, CORNERS)
     return found if TAKES * len(found) <= count else found[:0]  # where lamps end everywhere, no pixel stands out
 
 
-def _asked(f: Any, world: World, view: View, numbers: np.ndarray, size: int) -> np.ndarray:
+def _asked(f: Any, world: World, view: Picture, numbers: np.ndarray, size: int) -> np.ndarray:
     """Those numbers of which f says yes, asked `size` at a time."""
     if not len(numbers):
         return numbers
@@ -43,13 +43,13 @@ def _asked(f: Any, world: World, view: View, numbers: np.ndarray, size: int) -> 
     return numbers[np.concatenate([np.asarray(run(world, view, row)) for row in rows])[: len(numbers)]]
 
 
-def _through_corners(world: World, view: View, number: Any) -> Any:
+def _through_corners(world: World, view: Picture, number: Any) -> Any:
     """The paths that begin at the corners of a pixel's filter, with a leading axis of 4."""
     corners = jnp.asarray([(0.0, 0.0), (0.0, 1.0), (1.0, 0.0), (1.0, 1.0)], world.faces.dtype)
     return jax.vmap(lambda u: view(world, number, Drawn(((u[0], u[1]), (0.5, 0.5)))))(corners)
 
 
-def _near(world: World, view: View, numbers: Any) -> Any:
+def _near(world: World, view: Picture, numbers: Any) -> Any:
     """Whether rays through the corners of pixels may meet a lamp."""
 
     def one(number: Any) -> Any:
@@ -59,7 +59,7 @@ def _near(world: World, view: View, numbers: Any) -> Any:
     return jax.vmap(one)(numbers)
 
 
-def _differ(world: World, view: View, numbers: Any) -> Any:
+def _differ(world: World, view: Picture, numbers: Any) -> Any:
     """Whether rays through the corners of pixels see different emission."""
 
     def emission(o: Any, d: Any) -> Any:

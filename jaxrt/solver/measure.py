@@ -20,7 +20,7 @@ from ..sampling.sobol import seed_of
 from ..scene import Scene, in_working_precision
 from ..world import World, prepare
 from . import path
-from .begin import Meters, Rays, View
+from .begin import Meters, Picture, Rays, picture_of
 
 LANES = 512
 """Rays in flight in one program: all that a bounce touches fits a core's cache (256 to 1024 measured alike)."""
@@ -43,16 +43,13 @@ def lanes_of(plan: Plan) -> int:
     return LANES if plan.backend == "dense" else APART
 
 
-def view_of(scene: Scene, sensor: int) -> View:
+def view_of(scene: Scene, sensor: int) -> Picture:
     """Sensor number `sensor` as the loop sees it. Raises `SceneError` if there is none."""
     sensors = scene.structure.sensors
     if not -len(sensors) <= sensor < len(sensors):
         source = scene.structure.source or "scene"
         raise SceneError(f"{source}: has {len(sensors)} sensors, no number {sensor}; count from 0")
-    structure = sensors[sensor]
-    width, height = structure.film[:2]
-    window = np.array(structure.window, scene.lens.dtype)
-    return View(scene.sensor_to_world[sensor], scene.lens[sensor], width, height, window, structure.compiled())
+    return picture_of(scene, sensors[sensor])
 
 
 def depths_of(scene: Scene, max_depth: int | None, rr_depth: int | None = None) -> path.Depths:
@@ -64,6 +61,11 @@ def depths_of(scene: Scene, max_depth: int | None, rr_depth: int | None = None) 
     if not isinstance(rr_depth, (int, np.integer)) or rr_depth < 1:
         raise SceneError(f"rr_depth: is {rr_depth}; give a whole number of at least 1")
     return path.Depths(int(depth), int(rr_depth), asked.hide_emitters)
+
+
+def seen_by(view: Picture, depths: path.Depths) -> path.Depths:
+    """The depths for a view: a meter of irradiance sees all light."""
+    return dataclasses.replace(depths, hide_emitters=depths.hide_emitters & False) if view.searches else depths
 
 
 def _chunks(numbers: Any, lanes: int) -> Any:
@@ -163,7 +165,8 @@ def measure(
     second derivatives where no geometry moves at all.
     """
     plan = _plan_of(scene, plan, spp)
-    view, depths = view_of(scene, sensor), depths_of(scene, max_depth, rr_depth)
+    view = view_of(scene, sensor)
+    depths = seen_by(view, depths_of(scene, max_depth, rr_depth))
     width, height = view.width, view.height
     n = width * height
     if radiance is not None and radiance.max_depth != depths.max_depth:

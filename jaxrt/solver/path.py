@@ -21,7 +21,7 @@ from ..gradient import material
 from ..rules import balance, light_node, met_share, reflected, reflection_density, reflection_node
 from ..sampling.sobol import Drawn, Stream, combine
 from ..surface import Shading, SurfacePoint, is_diffuse, leave, radiance_of, shading_at, surface_point
-from ..vector import Spectrum, Vec3, dot, where
+from ..vector import Spectrum, Vec3, where
 from ..world import World
 
 SETS, HALVES = 4, 2
@@ -221,15 +221,11 @@ def bounce_stream(s: Stream, depth: Any) -> Stream:
     return Stream(s.index, s.seed, (CAMERA_PAIRS + BOUNCE_PAIRS * depth).astype(jnp.uint32))
 
 
-def _attached(world: World, begin: Any, number: Any, path: PathState) -> PathState:
-    """A path that knows the point that reflected last, as derivatives need it; a meter reflects like white paint."""
-    none = Vec3(*(0.0 * c for c in path.o))
-    before, slopes = none, (none,) * world.plan.channels
-    meter = getattr(begin.begin if isinstance(begin, Watched) else begin, "frame", None)
-    if meter is not None:
-        before, frame = meter(world, number)
-        slopes = (sg(frame.n * (1.0 / dot(frame.n, path.d))),) * world.plan.channels
-    return replace(path, before=before, slopes=slopes)
+def _attached(world: World, begin: Any, number: Any, s: Stream) -> PathState:
+    """A path that knows the point that reflected last, as derivatives need it."""
+    path = begin(world, number, s)
+    before, slope = begin.before(world, number, s, path.d)
+    return replace(path, before=before, slopes=(slope,) * world.plan.channels)
 
 
 class Watched(eqx.Module):
@@ -240,6 +236,9 @@ class Watched(eqx.Module):
     @property
     def searches(self) -> bool:
         return self.begin.searches
+
+    def before(self, *args: Any) -> tuple[Vec3, Vec3]:
+        return self.begin.before(*args)
 
     def __call__(self, world: World, number: Any, s: Stream) -> PathState:
         path = self.begin(world, number, s)
@@ -361,7 +360,7 @@ def trace_fixed(
                     return field.bounce(world, depths, path, turn, set_of(sample, field))[0], None
                 return bounce(world, depths, path, turn), None
 
-            path = _attached(world, begin, number, begin(world, number, s))
+            path = _attached(world, begin, number, s)
             return jax.lax.scan(body, path, None, length=max(steps, 1))[0].radiance.array()
 
         return jax.vmap(one)(numbers)

@@ -23,11 +23,12 @@ from ..sampling.sobol import seed_of
 from ..scene import Scene, in_working_precision
 from ..world import World, prepared
 from . import path
-from .begin import View
+from .aov import aovs, checked
+from .begin import Picture
 from .choose import choose
 from .field import for_picture
 from .lamps import TAKES, borders
-from .measure import PASS, depths_of, lanes_of, view_of
+from .measure import PASS, depths_of, lanes_of, seen_by, view_of
 from .solution import Solution, mean_and_variance, predicted_error, standard_error
 
 
@@ -94,7 +95,7 @@ def _specialised(scene: Scene) -> Plan:
 
 
 @remembered
-def _view(scene: Scene, sensor: int) -> View:
+def _view(scene: Scene, sensor: int) -> Picture:
     view = in_working_precision(view_of(scene, sensor))
     return jax.device_put(dataclasses.replace(view, width=np.int32(view.width), height=np.int32(view.height)))
 
@@ -117,6 +118,7 @@ def render(  # pyright: ignore[reportInconsistentOverload]  # options are those 
     plan: Plan | None = None,
     chunk: int | None = None,
     memory: float | None = None,
+    aov: Sequence[str] = (),
     progress: Callable[[float], None] | None = None,
 ) -> Solution | list[Solution]:
     """A picture with its standard error; of several sensors a list of them, which look into one field.
@@ -125,8 +127,9 @@ def render(  # pyright: ignore[reportInconsistentOverload]  # options are those 
     solved first; auto chooses and says why in `stats`. `max_depth` as Mitsuba counts it (1: emission only; −1: no end).
     `plan`: by default specialised on all values of the scene. `chunk`: pixels in flight a core, by default what is
     fastest; the same seed, plan and chunk give the same bits, another chunk the same within rounding. `memory`: bytes
-    that picture and pixels in flight may take, by default a quarter of the machine's. `progress`: called with the share
-    done. Raises `SceneError` for wrong arguments.
+    that picture and pixels in flight may take, by default a quarter of the machine's. `aov`: what `Solution.aovs`
+    is to hold of the first surface that each pixel sees: depth, normal, albedo, uv, position, face. `progress`:
+    called with the share done. Raises `SceneError` for wrong arguments.
     """
     if method not in ("auto", "path", "field"):
         raise SceneError(f"method: {method!r} is not known; give auto, path or field")
@@ -137,7 +140,7 @@ def render(  # pyright: ignore[reportInconsistentOverload]  # options are those 
     spp = int(spp)
     sensors = [sensor] if isinstance(sensor, (int, np.integer)) else list(sensor)
     views, depths = [_view(scene, k) for k in sensors], depths_of(scene, max_depth, rr_depth)
-    plan = plan or _specialised(scene)
+    names, plan = checked(aov, views), plan or _specialised(scene)
     threads = cores()
     memory = machine_memory() / 4 if memory is None else memory
     chunk = lanes_of(plan) if chunk is None else chunk
@@ -159,6 +162,7 @@ def render(  # pyright: ignore[reportInconsistentOverload]  # options are those 
         for k, (view, n) in enumerate(zip(views, lanes, strict=True)):
             part = progress and (lambda done, k=k: progress((k + done) / len(views)))
             found.append(_picture(world, view, depths, key, spp, n, field, pool, part))
+            found[-1].aovs = aovs(world, view, key, spp, names, pool)
             now, made = time.perf_counter(), seconds_spent() - spent
             run = now - began - made - seconds_solve
             found[-1].stats |= {"seconds_compile": made, "seconds_solve": seconds_solve, "seconds_run": run}
@@ -180,7 +184,7 @@ def render(  # pyright: ignore[reportInconsistentOverload]  # options are those 
 
 
 def _picture(
-    world: World, view: View, depths: path.Depths, key: Any, spp: int, lanes: int, field: Any,
+    world: World, view: Picture, depths: path.Depths, key: Any, spp: int, lanes: int, field: Any,
     pool: ThreadPoolExecutor, progress: Callable[[float], None] | None,
 ) -> Solution:  # fmt: skip
     """The picture of one view, block by block of pixels on the threads of `pool`."""
@@ -191,6 +195,7 @@ def _picture(
     pixels = min(PIXELS, 1 << max(0, (SAMPLES // spp).bit_length() - 1))
     while pixels > 1 and n < pixels * lanes * threads * 4:
         pixels //= 2
+    depths = seen_by(view, depths)
     edges = np.zeros(0, np.int32) if depths.hide_emitters else borders(world, view)
     again = (edges + np.arange(1, TAKES + 1, dtype=np.int32)[:, None] * np.int32(n)).ravel()
     total, size = n + len(again), lanes * pixels

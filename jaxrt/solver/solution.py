@@ -76,7 +76,7 @@ class Solution:
     relative_error: √relMSE that the variances of pixels predict.
     stats: samples, spp, lamp_pixels (taken again), rays, iterations, max_depth, method, why, threads, nonfinite,
     seconds_compile (making programs), seconds_solve (of a field), seconds_run (the rest); with a field also elements,
-    directions, field_iterations, field_bytes.
+    directions, field_iterations, field_bytes. aovs: what pixels see first, by name, as `render` was asked.
     """
 
     image: np.ndarray
@@ -85,6 +85,7 @@ class Solution:
     relative_error: float = float("nan")
     header: dict[str, Any] = dataclasses.field(default_factory=dict)
     failed: bool = False
+    aovs: dict[str, np.ndarray] = dataclasses.field(default_factory=dict)
 
     @property
     def result(self) -> Any:
@@ -95,7 +96,7 @@ class Solution:
         return results.nonlinear_max_steps_reached if self.failed else results.successful
 
     def save(self, path: str | Path, exposure: float = 0.0) -> None:
-        """Writes `.exr` (with standard errors and provenance) or `.png` (sRGB, `exposure` in stops). Atomic.
+        """Writes `.exr` (with standard errors, AOVs and provenance) or `.png` (sRGB, `exposure` in stops). Atomic.
 
         Raises `SceneError` for another suffix or a folder that cannot be written.
         """
@@ -105,7 +106,7 @@ class Solution:
         path = Path(path)
         if path.suffix.lower() == ".exr":
             stderr = None if np.isnan(self.stderr).all() else self.stderr
-            files.write_exr(path, self.image, stderr, {"jaxrt": json.dumps(self.header)})
+            files.write_exr(path, self.image, stderr, {"jaxrt": json.dumps(self.header)}, self.aovs)
         elif path.suffix.lower() == ".png":
             files.write_png(path, self.image, exposure)
         else:

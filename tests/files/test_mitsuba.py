@@ -834,6 +834,34 @@ def test_sensor_with_mitsubas_defaults(load):
     assert scene.integrator == parts.Integrator(max_depth=-1, rr_depth=5, hide_emitters=False, spp=4)
 
 
+PIXEL = '<film type="hdrfilm"><integer name="width" value="1"/><integer name="height" value="1"/></film>'
+BATCH = '<sensor type="batch">{}</sensor>'
+AHEAD = '<vector name="direction" x="2" y="0" z="0"/>'
+
+
+def test_meters(load):
+    at = '<point name="origin" x="1" y="2" z="3"/>'
+    target = '<point name="target" x="4" y="5" z="6"/>'
+    plain, away, over, side = load(
+        f'<sensor type="radiancemeter">{at}{AHEAD}{PIXEL}</sensor><sensor type="distant">{AHEAD}{target}{PIXEL}</sensor>'
+        f'<sensor type="distant"><shape type="disk" name="target"/>{PIXEL}</sensor>'
+        '<shape type="sphere"><sensor type="irradiancemeter"/></shape>'
+    ).sensors
+    np.testing.assert_allclose(plain.to_world[:3, 2:].T, [[1, 0, 0], [1, 2, 3]], atol=1e-12)
+    assert (plain.kind, away.kind, away.target.tolist()) == ("radiancemeter", "distant", [4, 5, 6])
+    assert isinstance(over.target, parts.Disk) and isinstance(side.target, parts.Sphere)
+
+
+def test_the_shape_of_a_meter_is_that_of_the_scene(load):
+    scene = load('<shape type="cube" id="c"/><shape type="sphere"><sensor type="irradiancemeter"/></shape>')
+    assert scene.sensors[0].target is scene.shapes[1]
+    inner = '<sensor type="irradiancemeter"/>'
+    batch = f'<sensor type="batch"><shape type="disk">{inner}</shape><sensor type="thinlens">{{}}</sensor></sensor>'
+    lens = '<float name="aperture_radius" value=".1"/>'
+    (made,) = load(batch.format(lens) + SPHERE).sensors
+    assert [part.kind for part in made.sensors] == ["irradiancemeter", "thinlens"]
+
+
 def test_scene_without_sensor(load):
     assert load("").sensors == []
 
@@ -907,6 +935,23 @@ def test_film_filters(load, given, expected):
         ('<sensor type="perspective"><film type="hdrfilm"/><film type="hdrfilm"/></sensor>', "has 2 <film>"),
         ('<sensor type="perspective"><sampler type="halton"/></sensor>', "use independent"),
         ('<sensor type="perspective"><medium type="homogeneous"/></sensor>', "is not supported in <sensor"),
+        ('<sensor type="perspective"><spectrum name="srf" value="1"/></sensor>', "srf is not supported"),
+        ('<sensor type="irradiancemeter"/>', "is out of place"),
+        ('<shape type="sphere"><sensor type="perspective"/></shape>', "is out of place"),
+        ('<sensor type="radiancemeter"/>', "film: has 768 x 576 pixels of one value"),
+        (f'<sensor type="radiancemeter">{AHEAD}{PIXEL}</sensor>', "has direction alone"),
+        (
+            f'<sensor type="distant">{AHEAD}<transform name="to_world"/>{PIXEL}</sensor>',
+            "has direction and also to_world",
+        ),
+        (f'<sensor type="distant"><bsdf type="diffuse" name="target"/>{PIXEL}</sensor>', "neither a point nor a shape"),
+        ('<sensor type="batch"/>', "sensors: are none"),
+        ('<sensor type="batch"><shape type="sphere"/></sensor><shape type="sphere"/>', "has no sensor inside"),
+        (BATCH.format(5 * '<sensor type="perspective"/>'), "is 768 pixels wide, which 5 views"),
+        (
+            '<shape type="shapegroup"><shape type="cube"><sensor type="irradiancemeter"/></shape></shape>',
+            "holds a sensor",
+        ),
     ],
 )
 def test_sensors_that_do_not_work(refused, body, problem):
