@@ -47,6 +47,8 @@ if TYPE_CHECKING:
         Null,
         Plastic,
         Point,
+        Principled,
+        PrincipledThin,
         Rectangle,
         SceneError,
         Sensor,
@@ -70,7 +72,8 @@ _HOMES = {
     "loading": "load",
     "operators": "D G K T add adjoint compose emission estimate inner neumann norm psi sub",
     "parts": "Bitmap Checkerboard Conductor Cube Cylinder Dielectric Diffuse Directional Disk Enclosure Film Group"
-    " Instance Integrator Mesh MeshAttribute Null Plastic Point Rectangle SceneError Sensor Sphere Spot TwoSided",
+    " Instance Integrator Mesh MeshAttribute Null Plastic Point Principled PrincipledThin Rectangle SceneError Sensor"
+    " Sphere Spot TwoSided",
     "rules": "BrdfRule LightRule MisRule QuadratureRule",
     "sampling.sobol": "Stream",
     "scene": "Scene params with_params",
@@ -125,6 +128,8 @@ __all__ = [
     "Plan",
     "Plastic",
     "Point",
+    "Principled",
+    "PrincipledThin",
     "QuadratureRule",
     "Rectangle",
     "Scene",

@@ -157,6 +157,7 @@ def plan(scene: Scene, free: str | Iterable[str] | None = (), *, backend: str | 
     numbers = np.concatenate([used, *(view.field(f"map:{f}").ravel() for f in mapped)]).astype(int)
     textures = tuple(k for k in TEXTURES if TEXTURES.index(k) in layout[numbers[numbers > 0], 0])
     anisotropic |= bool((lambda a: a[:, 0] != a[:, 1])(view.field("map:alpha")).any())
+    anisotropic |= bool(view.field("anisotropic").any() or view.field("map:anisotropic").any())
 
     shape_emitter = view.array["finishes"][view.array["shape_finish"], 1]
     dark = {r for r in view.radiance_rows if view.fixed("radiance", r) and not view.array["radiance"][r].any()}
@@ -220,7 +221,7 @@ def plan(scene: Scene, free: str | Iterable[str] | None = (), *, backend: str | 
         *((f"lobe:{name}", name in lobes, say(name in lobes, "a material uses it", "no material")) for name in LOBES),
         ("instances", sizes.size > 0, f"{sizes.size} of {sizes.sum()} triangles together"),
         ("twosided", twosided != "none", f"{twosided} of the materials"),
-        ("anisotropic", chosen["anisotropic"], say(anisotropic, "alpha_u differs from alpha_v", "no such material")),
+        ("anisotropic", chosen["anisotropic"], say(anisotropic, "a roughness has a direction", "no such material")),
         *((f"texture:{k}", k in textures, _carriers(k, layout, mapped, view)) for k in TEXTURES),
         ("smooth_normals", chosen["smooth_normals"], say(smooth, "a mesh has vertex normals", "all faces are flat")),
         ("area_light", chosen["area_light"], f"{n_lights} emitting faces"),

@@ -23,7 +23,7 @@ SUN_IRRADIANCE = 500.0
 SUN_ANGLE = 0.01
 """Angular diameter of the sun as the notes take it, rad (section 1.2)."""
 
-_LUMINANCE = (0.2126, 0.7152, 0.0722)  # Rec. 709 primaries, white D65
+LUMINANCE = (0.2126, 0.7152, 0.0722)  # Rec. 709 primaries, white D65
 
 
 def solid_angle_cap(theta: ArrayLike) -> Real:
@@ -124,4 +124,4 @@ def luminous(radiometric: Float[Array, "... channels"], efficacy: float = LUMEN_
         return efficacy * a[..., 0]
     if a.shape[-1] != 3:
         raise ValueError(f"luminance needs 1 or 3 channels, not {a.shape[-1]}")
-    return efficacy * (a @ jnp.asarray(_LUMINANCE, a.dtype))
+    return efficacy * (a @ jnp.asarray(LUMINANCE, a.dtype))

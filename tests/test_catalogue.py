@@ -32,6 +32,13 @@ def two(a, b):
     return BOX.format(a, b)
 
 
+def principled(thin, given):
+    numbers = "".join(f'<float name="{k}" value={v}/>' for k, v in (pair.split("=") for pair in given.split()))
+    return f'<bsdf type="principled{thin}"><rgb name="base_color" value=".8,.6,.2"/>{numbers}</bsdf>'
+
+
+METAL = 'metallic=".6" anisotropic=".7" roughness=".4" clearcoat="1" clearcoat_gloss=".3" sheen=".5" specular=".7"'
+GLASS = 'spec_trans=".8" roughness=".4" eta="1.4" spec_tint=".3" flatness=".5"'
 GOLD = '<string name="material" value="Au"/>'
 ITEMS = {
     "beckmann": two(rough("beckmann", GOLD), rough("beckmann", '<float name="alpha" value=".4"/>')),
@@ -53,6 +60,8 @@ ITEMS = {
         '<bsdf type="twosided"><bsdf type="plastic"><rgb name="diffuse_reflectance" value=".9,.5,.1"/>'
         '<boolean name="nonlinear" value="true"/><string name="int_ior" value="pet"/></bsdf></bsdf>',
     ),
+    "principled": two(principled("", METAL), principled("", GLASS)),
+    "principledthin": two(principled("thin", 'spec_trans=".3" diff_trans=".8" sheen="1"'), principled("thin", GLASS)),
     "null": two('<bsdf type="null"/>', '<bsdf type="conductor"/>'),
 }
 
@@ -150,6 +159,7 @@ def bitmap(name, file, more=""):
 
 NEAREST = '<string name="filter_type" value="nearest"/><string name="wrap_mode" value="{}"/>'
 TURNED = '<transform name="to_uv"><scale x="2" y="3"/><rotate z="1" angle="20"/><translate x=".3" y=".1"/></transform>'
+RAW = '<boolean name="raw" value="true"/>'
 SHEET = """<shape type="ply"><string name="filename" value="sheet.ply"/><boolean name="face_normals" value="true"/>
 <transform name="to_world"><rotate x="1" angle="60"/></transform>{}</shape>"""
 CHECKERS = '<texture type="checkerboard" name="reflectance"><rgb name="color0" value=".9,.2,.1"/>{}</texture>'
@@ -176,6 +186,10 @@ TEXTURED = {
     "roughness": two(
         rough("ggx", bitmap("alpha", "grey.png", '<boolean name="raw" value="true"/>') + GOLD),
         f'<bsdf type="plastic">{bitmap("diffuse_reflectance", "colours.png")}</bsdf>',
+    ),
+    "principled": two(
+        f'<bsdf type="principled">{bitmap("base_color", "colours.png")}{bitmap("roughness", "grey.png", RAW)}</bsdf>',
+        f'<bsdf type="principledthin">{bitmap("diff_trans", "grey.png", RAW)}</bsdf>',
     ),
     "emission": two('<bsdf type="diffuse"/>', f'<emitter type="area">{bitmap("radiance", "bright.exr")}</emitter>')
     + f"""<shape type="rectangle"><transform name="to_world"><lookat origin="-2,-1,2" target="0,0,0" up="0,0,1"/>

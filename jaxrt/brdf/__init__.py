@@ -12,7 +12,7 @@ from typing import Any
 import jax.numpy as jnp
 
 from ..vector import Spectrum, Vec3, where
-from . import diffuse, ggx, glass, mirror, plastic, rough
+from . import diffuse, ggx, glass, mirror, plastic, principled, principled_thin, rough
 from .lobe import Lobe
 from .material import ALBEDOS, MAPPED, NUMBERS, SPECTRA, Material, MaterialColumns
 
@@ -20,7 +20,7 @@ LOBES: dict[str, Lobe] = {
     lobe.name: lobe
     for lobe in (
         diffuse.LOBE, mirror.LOBE, ggx.LOBE, rough.SEPARABLE, rough.BECKMANN, glass.SOLID, glass.THIN, glass.NOTHING,
-        plastic.LOBE,
+        plastic.LOBE, principled.LOBE, principled_thin.LOBE,
     )
 }  # fmt: skip
 

@@ -17,7 +17,11 @@ SPECTRA = ("reflectance", "eta", "k", "transmittance", "specular")
 ALBEDOS = ("reflectance", "transmittance", "specular")
 """Those without which a material takes all light in."""
 
-NUMBERS = {"lobe": 0.0, "twosided": 0.0, "ior": 1.0, "nonlinear": 0.0}
+NUMBERS = {
+    "lobe": 0.0, "twosided": 0.0, "ior": 1.0, "nonlinear": 0.0,
+    "roughness": 1.0, "anisotropic": 0.0, "metallic": 0.0, "spec_trans": 0.0, "spec_tint": 0.0, "sheen": 0.0,
+    "sheen_tint": 0.0, "flatness": 0.0, "clearcoat": 0.0, "clearcoat_gloss": 0.0, "diff_trans": 0.0,
+}  # fmt: skip
 """Fields of one number, and what rows hold where their lobe has no use for it: other lobes still evaluate the row, and
 must stay finite. `alpha`, the roughness along both tangents, has two numbers."""
 

@@ -13,6 +13,7 @@ from . import spectra
 from .conductors import CONDUCTORS
 from .indices import INDICES
 from .mitsuba_context import Context
+from .mitsuba_principled import RATES, principled, principled_thin
 from .mitsuba_textures import TEXTURES, texture
 from .mitsuba_xml import Element
 
@@ -63,7 +64,7 @@ def bsdf(ctx: Context, element: Element, place: str) -> parts.Bsdf:
             element.fail(f"is not supported; use {', '.join(_BSDFS)}")
         name = ctx.name(element, place)
         fields = _BSDFS[element.plugin][1](ctx, element, name)
-        ctx.finish(element, {"sample_visible": ""})
+        ctx.finish(element, dict.fromkeys(("sample_visible", *RATES), ""))
         return ctx.part(element, _BSDFS[element.plugin][0], id=name, **fields)
 
     return ctx.once(element, build)
@@ -167,6 +168,8 @@ _BSDFS: dict[str, tuple[Any, Any]] = {
     "dielectric": (parts.Dielectric, _dielectric),
     "thindielectric": (parts.Dielectric, _thin_dielectric),
     "plastic": (parts.Plastic, _plastic),
+    "principled": (parts.Principled, principled),
+    "principledthin": (parts.PrincipledThin, principled_thin),
     "null": (parts.Null, lambda ctx, element, name: {}),
     "twosided": (parts.TwoSided, _two_sided),
 }

@@ -12,6 +12,7 @@ from collections.abc import Sequence
 
 from .checks import LARGEST, SceneError, check, matrix, scalar, spectrum, unit, varying
 from .lamps import LAMPS, Directional, Enclosure, Lamp, Point, Spot
+from .principled import Principled, PrincipledThin
 from .reflectances import Bsdf, Conductor, Dielectric, Diffuse, Null, Plastic, Row, TwoSided
 from .sensors import Film, Sensor
 from .shapes import Cube, Cylinder, Disk, Group, Instance, Mesh, Rectangle, Shape, Sphere
@@ -70,6 +71,8 @@ __all__ = [
     "Null",
     "Plastic",
     "Point",
+    "Principled",
+    "PrincipledThin",
     "Rectangle",
     "Row",
     "SceneError",

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 
 from .checks import check, scalar, varying
 from .textures import Texture
+
+if TYPE_CHECKING:
+    from .principled import Principled, PrincipledThin
 
 
 class Row(NamedTuple):
@@ -152,8 +155,8 @@ class TwoSided:
     id: str = ""
 
     def __post_init__(self):
-        opaque = not isinstance(self.bsdf, (Dielectric, Null, TwoSided))
+        opaque = not isinstance(self.bsdf, (Dielectric, Null, TwoSided)) and not getattr(self.bsdf, "transmits", False)
         check(opaque, self.id or "twosided", "holds what transmits, or another twosided; leave out this one")
 
 
-Bsdf = Diffuse | Conductor | Dielectric | Plastic | Null | TwoSided
+Bsdf: TypeAlias = "Diffuse | Conductor | Dielectric | Plastic | Principled | PrincipledThin | Null | TwoSided"

@@ -414,15 +414,15 @@ def test_nothing_to_note(load):
 
 
 def test_what_nothing_refers_to_is_noted(load):
-    body = '<bsdf type="principled" id="glass"/><emitter type="area"/><medium type="homogeneous" id="fog"/>'
+    body = '<bsdf type="hair" id="glass"/><emitter type="area"/><medium type="homogeneous" id="fog"/>'
     notes = load(body).notes
     assert len(notes) == 3 and all("nothing refers to it" in note for note in notes)
-    assert any("principled" in note and "is not supported" in note for note in notes)
+    assert any("hair" in note and "is not supported" in note for note in notes)
 
 
 def test_unsupported_material_in_use_is_refused(refused):
-    message = refused('<bsdf type="principled" id="glass"/>\n<shape type="sphere"><ref id="glass"/></shape>')
-    assert message.startswith('scene.xml:2: <bsdf type="principled" id="glass">: is not supported; use diffuse')
+    message = refused('<bsdf type="hair" id="glass"/>\n<shape type="sphere"><ref id="glass"/></shape>')
+    assert message.startswith('scene.xml:2: <bsdf type="hair" id="glass">: is not supported; use diffuse')
 
 
 # ---------------------------------------------------------------------------------------- transforms
@@ -640,6 +640,19 @@ def test_specular_reflectance(load):
     assert made.specular_reflectance.tolist() == [0.1, 0.2, 0.3]
 
 
+def test_principled_surfaces(load):
+    shape = '<shape type="sphere"><bsdf type="principled{}">{}</bsdf></shape>'
+    number = '<float name="{}" value="{}"/>'
+    numbers = {"metallic": 0.2, "specular": 0.3, "clearcoat_gloss": 0.4, "main_specular_sampling_rate": 3}
+    body = '<rgb name="base_color" value=".1,.2,.3"/>' + "".join(number.format(*pair) for pair in numbers.items())
+    read = load(shape.format("", body) + shape.format("thin", number.format("diff_trans", 1.5)))
+    solid, thin = (s.bsdf for s in read.shapes)
+    assert read.notes == []
+    want = parts.Principled([0.1, 0.2, 0.3], metallic=0.2, specular=0.3, clearcoat_gloss=0.4, id=solid.id)
+    assert str(solid) == str(want)
+    assert str(thin) == str(parts.PrincipledThin(diff_trans=1.5, id=thin.id))
+
+
 @pytest.mark.parametrize(
     "body, problem",
     [
@@ -655,7 +668,18 @@ def test_specular_reflectance(load):
         ('<bsdf type="twosided"/>', "has no BSDF inside"),
         ('<bsdf type="twosided"><bsdf type="diffuse"/><bsdf type="diffuse"/></bsdf>', "has two BSDFs"),
         ('<bsdf type="twosided"><bsdf type="null"/></bsdf>', "holds what transmits"),
-        ('<bsdf type="principled"/>', "is not supported"),
+        ('<bsdf type="hair"/>', "is not supported"),
+        (
+            '<bsdf type="principled"><float name="eta" value="1.5"/><float name="specular" value="0"/></bsdf>',
+            "give one",
+        ),
+        ('<bsdf type="principled"><float name="metallic" value="2"/></bsdf>', "metallic: is 2"),
+        ('<bsdf type="principledthin"><rgb name="roughness" value="0,0,1"/></bsdf>', "roughness is a colour"),
+        ('<bsdf type="twosided"><bsdf type="principledthin"/></bsdf>', "holds what transmits"),
+        (
+            '<bsdf type="twosided"><bsdf type="principled"><float name="spec_trans" value=".1"/></bsdf></bsdf>',
+            "holds what transmits",
+        ),
     ],
 )
 def test_bsdfs_that_do_not_work(refused, body, problem):
