@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from .brdf import SPECTRA, MaterialColumns
+from .brdf import SPECTRA, MaterialColumns, derive
 from .compiler import program, remembered
 from .effects import Plan
 from .effects import plan as make_plan
@@ -40,7 +40,7 @@ class World(eqx.Module):
     `faces` rows, gathered at each hit (`FACE` names the columns), about `center`: the affine maps of a flat
     face to its height and coordinates, or centre and radius of a curved one; side, finish, light density
     (1/m²); and as the plan calls for, three vertex normals and a tangent. The last row is the enclosure.
-    `finishes` rows: material fields, then radiance. `light_rows`: geometry, normal, density,
+    `finishes` rows: material fields, derived ones last, then radiance. `light_rows`: geometry, normal, density,
     chance, radiance, face. `light_bounds`: spheres (centre, radius) that hold all lights, m.
     """
 
@@ -254,12 +254,15 @@ def prepare(scene: Scene, plan: Plan) -> World:
         none, bright = jnp.zeros((len(lamps), 4)), intensity[:, : plan.channels]
         light_rows = jnp.concatenate([light_rows, joined(lamps, none, of_lamp, bright, 0 * of_lamp - 1)])
     table = MaterialColumns(scene.channels)
-    columns = [j for f in plan.fields for j in range(*table[f])]
+    held = [f for f in plan.fields if f in table.at]
+    columns = [j for f in held for j in range(*table[f])]
     if plan.channels == 1:
-        columns = [j for f in plan.fields for j in range(*table[f])[: 1 if f in SPECTRA else None]]
+        columns = [j for f in held for j in range(*table[f])[: 1 if f in SPECTRA else None]]
+    materials = scene.materials[scene.finishes[:, 0]]
     finishes = jnp.concatenate(
         [
-            scene.materials[scene.finishes[:, 0]][:, np.array(columns)],
+            materials[:, np.array(columns)],
+            *derive(plan.lobes, table, materials),
             radiance[scene.finishes[:, 1]][:, : plan.channels],
         ],
         -1,

@@ -15,6 +15,7 @@ from ..sampling.warp import circle
 from ..vector import Spectrum, Vec3, dot, normalise, safe_sqrt
 from .fresnel import conductor
 from .lobe import Lobe
+from .material import Material
 
 
 def distribution(m: Any, h: Vec3) -> Any:
@@ -57,15 +58,27 @@ def _bound(m: Any, wo: Vec3) -> Any:
     return (1.0 - a2) * s2 / (s2 + a2 * wo.z * wo.z)
 
 
-def sample(m: Any, wo: Vec3, u: tuple[Any, ...]) -> Vec3:
-    ax, ay = m.alpha
+def visible_normal(alpha: tuple[Any, Any], wo: Vec3, u: tuple[Any, ...], bound: Any = 1.0) -> Vec3:
+    """A normal drawn by how much of it ω_o, above the surface, sees (Dupuy and Benyoub 2023): its reflection is even
+    over a cap that reaches down to −z, or `bound` of that, where facets are stretched to a sphere."""
+    ax, ay = alpha
     stretched = normalise(Vec3(ax * wo.x, ay * wo.y, wo.z))
     c, sn = circle(u[0])
-    b = _bound(m, wo) * stretched.z
+    b = bound * stretched.z
     z = (1.0 - u[1]) * (1.0 + b) - b
     s = safe_sqrt(1.0 - z * z)
     cap = Vec3(s * c, s * sn, z) + stretched
-    h = normalise(Vec3(ax * cap.x, ay * cap.y, cap.z))
+    return normalise(Vec3(ax * cap.x, ay * cap.y, cap.z))
+
+
+def visible_density(alpha: tuple[Any, Any], h: Vec3, wo: Vec3) -> Any:
+    """Density over solid angle of `visible_normal`, G₁(ω_o) D(h) (ω_o · h) / cosθ_o."""
+    m = Material(alpha=alpha)
+    return distribution(m, h) * (2.0 * jnp.maximum(dot(h, wo), 0.0) / positive(wo.z + length(m, wo)))
+
+
+def sample(m: Any, wo: Vec3, u: tuple[Any, ...]) -> Vec3:
+    h = visible_normal(m.alpha, wo, u, _bound(m, wo))
     return normalise(h * (2.0 * dot(wo, h)) - wo)
 
 

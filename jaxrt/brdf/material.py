@@ -20,17 +20,22 @@ NUMBERS = {"lobe": 0.0, "twosided": 0.0, "ior": 1.0, "nonlinear": 0.0}
 """Fields of one number, and what rows hold where their lobe has no use for it: other lobes still evaluate the row, and
 must stay finite. `alpha`, the roughness along both tangents, has two numbers."""
 
+DERIVED = {"coat": 10, "inside": 1}
+"""Numbers that no scene holds: a lobe finds them from the others of its row, once a render (`Lobe.derive`)."""
+
 SMOOTHEST = 1e-4
 """Roughness below which a lobe would leave float32; an optimisation may walk there."""
 
 
 class MaterialColumns:
-    """Which columns of a material's row hold which field, for a number of channels and a set of lobes."""
+    """Which columns of a material's row hold which field, for a number of channels and a set of lobes' fields; by
+    default all that a scene holds."""
 
     def __init__(self, channels: int, fields: tuple[str, ...] | None = None):
-        sizes = dict.fromkeys(NUMBERS, 1) | {"alpha": 2} | dict.fromkeys(SPECTRA, channels)
+        held = dict.fromkeys(NUMBERS, 1) | {"alpha": 2} | dict.fromkeys(SPECTRA, channels)
+        sizes = held | DERIVED
         self.channels, self.at, start = channels, {}, 0
-        for name in sizes if fields is None else fields:
+        for name in held if fields is None else fields:
             self.at[name] = (start, start + sizes[name])
             start += sizes[name]
         self.width = start
@@ -54,7 +59,7 @@ class Material(eqx.Module):
         self.fields = fields
 
     def __getattr__(self, name: str) -> Any:
-        if name in SPECTRA or name in NUMBERS or name == "alpha":
+        if name in SPECTRA or name in NUMBERS or name in DERIVED or name == "alpha":
             return self.fields.get(name)
         raise AttributeError(name)
 
@@ -65,6 +70,8 @@ class Material(eqx.Module):
             cells = tuple(row[j] for j in range(start, stop))
             if name == "alpha":
                 values[name] = tuple(jnp.maximum(c, SMOOTHEST) for c in cells)
+            elif name in SPECTRA:
+                values[name] = Spectrum(cells)
             else:
-                values[name] = Spectrum(cells) if name in SPECTRA else cells[0]
+                values[name] = cells if stop - start > 1 else row[start]
         return cls(**values)

@@ -32,6 +32,19 @@ class Diffuse:
         return Row("diffuse", {"reflectance": self.reflectance}, {"reflectance": "reflectance"})
 
 
+def _check_roughness(part: Conductor | Dielectric | Plastic, name: str, *known: str) -> None:
+    check(part.distribution in known, f"{name}.distribution", f"{part.distribution!r} is not {' or '.join(known)}")
+    a = spectrum(part.alpha, f"{name}.alpha", most=1.0)
+    check(a.size <= 2, f"{name}.alpha", "is one roughness or two")
+    part.alpha = np.broadcast_to(a, (2,)).copy()
+
+
+def _row(alpha: np.ndarray, smooth: str, rough: str, fields: dict[str, Any], names: dict[str, str]) -> Row:
+    if alpha.max() < 1e-3:  # float32 cannot resolve the lobe (oracles, GGX furnace)
+        return Row(smooth, fields, names)
+    return Row(rough, {**fields, "alpha": np.maximum(alpha, 1e-3)}, {**names, "alpha": "alpha"})
+
+
 @dataclasses.dataclass
 class Conductor:
     """A metal: a smooth mirror (alpha 0) or microfacets of roughness `alpha` = (α_u, α_v).
@@ -49,22 +62,15 @@ class Conductor:
 
     def __post_init__(self):
         name = self.id or "conductor"
-        known = ("ggx", "ggx_separable", "beckmann")
-        check(self.distribution in known, f"{name}.distribution", f"{self.distribution!r} is not {' or '.join(known)}")
-        a = spectrum(self.alpha, f"{name}.alpha", most=1.0)
-        check(a.size <= 2, f"{name}.alpha", "is one roughness or two")
-        self.alpha = np.broadcast_to(a, (2,)).copy()
+        _check_roughness(self, name, "ggx", "ggx_separable", "beckmann")
         self.eta = spectrum(self.eta, f"{name}.eta")
         self.k = spectrum(self.k, f"{name}.k")
         self.specular_reflectance = spectrum(self.specular_reflectance, f"{name}.specular_reflectance", most=1.0)
 
     def row(self) -> Row:
-        rough = bool(self.alpha.max() >= 1e-3)  # below, float32 cannot resolve the lobe (oracles, GGX furnace)
         fields = {"reflectance": self.specular_reflectance, "eta": self.eta, "k": self.k}
         names = {"specular_reflectance": "reflectance", "eta": "eta", "k": "k"}
-        if not rough:
-            return Row("mirror", fields, names)
-        return Row(self.distribution, {**fields, "alpha": np.maximum(self.alpha, 1e-3)}, {**names, "alpha": "alpha"})
+        return _row(self.alpha, "mirror", self.distribution, fields, names)
 
 
 def _check_boundary(part: Dielectric | Plastic, name: str, *albedos: str) -> None:
@@ -76,12 +82,17 @@ def _check_boundary(part: Dielectric | Plastic, name: str, *albedos: str) -> Non
         setattr(part, key, spectrum(getattr(part, key), f"{name}.{key}", most=1.0))
 
 
+_NAMES = {"ggx": "", "beckmann": "_beckmann"}
+"""Distributions of boundaries, and how the names of their lobes end."""
+
+
 @dataclasses.dataclass
 class Dielectric:
-    """A smooth boundary between two media, as of glass: it reflects and transmits. Shapes of it have to be closed.
+    """A boundary between two media, as of glass: it reflects and transmits. Shapes of it have to be closed.
 
     `int_ior`, `ext_ior`: indices of refraction behind and before the front side. `thin`: both faces of a thin sheet
-    at once, which does not bend light.
+    at once, which does not bend light. It is smooth (alpha 0) or has microfacets of roughness `alpha` = (α_u, α_v).
+    `distribution`: ggx or beckmann, with separable masking as Mitsuba has it.
     """
 
     int_ior: float = 1.5046
@@ -89,36 +100,50 @@ class Dielectric:
     specular_reflectance: Any = 1.0
     specular_transmittance: Any = 1.0
     thin: bool = False
+    alpha: Any = 0.0
+    distribution: Literal["ggx", "beckmann"] = "ggx"
     id: str = ""
 
     def __post_init__(self):
-        _check_boundary(self, self.id or "dielectric", "specular_reflectance", "specular_transmittance")
+        name = self.id or "dielectric"
+        _check_boundary(self, name, "specular_reflectance", "specular_transmittance")
+        _check_roughness(self, name, *_NAMES)
+        check(not (self.thin and self.alpha.any()), f"{name}.alpha", "a thin sheet is smooth; leave out alpha")
 
     def row(self) -> Row:
         fields = {"reflectance": self.specular_reflectance, "transmittance": self.specular_transmittance}
+        fields["ior"] = self.int_ior / self.ext_ior
         names = {"specular_reflectance": "reflectance", "specular_transmittance": "transmittance", "eta": "ior"}
-        return Row("thin_glass" if self.thin else "glass", {**fields, "ior": self.int_ior / self.ext_ior}, names)
+        smooth = "thin_glass" if self.thin else "glass"
+        return _row(self.alpha, smooth, "rough_glass" + _NAMES[self.distribution], fields, names)
 
 
 @dataclasses.dataclass
 class Plastic:
-    """Diffuse paint below a smooth clear coat. `nonlinear`: colours shift as light is reflected inside many times."""
+    """Diffuse paint below a clear coat, smooth (alpha 0) or with microfacets of roughness `alpha`, alike in all
+    directions. `nonlinear`: colours shift as light is reflected inside many times. `distribution` as of `Dielectric`.
+    """
 
     diffuse_reflectance: Any = 0.5
     specular_reflectance: Any = 1.0
     int_ior: float = 1.49
     ext_ior: float = 1.000277
     nonlinear: bool = False
+    alpha: Any = 0.0
+    distribution: Literal["ggx", "beckmann"] = "ggx"
     id: str = ""
 
     def __post_init__(self):
-        _check_boundary(self, self.id or "plastic", "diffuse_reflectance", "specular_reflectance")
+        name = self.id or "plastic"
+        _check_boundary(self, name, "diffuse_reflectance", "specular_reflectance")
+        _check_roughness(self, name, *_NAMES)
+        check(np.ptp(self.alpha) == 0, f"{name}.alpha", "is one roughness, alike in all directions")
 
     def row(self) -> Row:
         fields = {"reflectance": self.diffuse_reflectance, "specular": self.specular_reflectance}
         fields |= {"ior": self.int_ior / self.ext_ior, "nonlinear": float(self.nonlinear)}
         names = {"diffuse_reflectance": "reflectance", "specular_reflectance": "specular", "eta": "ior"}
-        return Row("plastic", fields, names)
+        return _row(self.alpha, "plastic", "rough_plastic" + _NAMES[self.distribution], fields, names)
 
 
 @dataclasses.dataclass
