@@ -15,7 +15,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from .brdf import ALBEDOS, LOBES, MAPPED, SPECTRA, MaterialColumns
+from .brdf import ALBEDOS, DERIVED, LOBES, MAPPED, SPECTRA, MaterialColumns
 from .intersect import BACKENDS, choose, refusal
 from .near_lamps import solid_angle_pays
 from .parts import LAMPS, SceneError
@@ -248,7 +248,7 @@ def plan(scene: Scene, free: str | Iterable[str] | None = (), *, backend: str | 
         channels=scene.channels if chosen["rgb"] else 1,
         kinds=kinds,
         lobes=lobes,
-        fields=tuple(f for f in view.columns.at if f in wanted),
+        fields=tuple(f for f in (*view.columns.at, *DERIVED) if f in wanted),
         twosided=twosided,
         tangents=chosen["anisotropic"],
         bumps=False,

@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from . import coordinates
-from .brdf import SPECTRA, MaterialColumns
+from .brdf import SPECTRA, MaterialColumns, derive
 from .compiler import program, remembered
 from .effects import Plan
 from .effects import plan as make_plan
@@ -39,9 +39,9 @@ class World(eqx.Module):
     `faces` rows, gathered at each hit (`FACE` names the columns), about `center`: the affine maps of a flat
     face to its height and coordinates, or centre and radius of a curved one; side, finish, light density
     (1/m²); and as the plan calls for, three vertex normals, tangents, and coordinates for textures. The last
-    row is the enclosure. `finishes` rows: material fields, radiance, and its texture's number where there are such.
-    `light_rows`: geometry, normal, density, chance, radiance, face, and again that number. `light_bounds`: spheres
-    (centre, radius) that hold all lights, m.
+    row is the enclosure. `finishes` rows: material fields, derived ones last, radiance, and its texture's number where
+    there are such. `light_rows`: geometry, normal, density, chance, radiance, face, and again that number.
+    `light_bounds`: spheres (centre, radius) that hold all lights, m.
     """
 
     geometry: Float[Array, "P 9"]
@@ -283,13 +283,13 @@ def prepare(scene: Scene, plan: Plan) -> World:
         row = jnp.zeros((1, light_rows.shape[1])).at[0, 13].set(chance[-1]).at[0, 14 + plan.channels].set(-1.0)
         light_rows = joined(jnp.concatenate([light_rows, row.astype(side.dtype)]))
     table = MaterialColumns(scene.channels)
-    columns = [j for f in plan.fields for j in range(*table[f])]
+    held = [f for f in plan.fields if f in table.at]
+    columns = [j for f in held for j in range(*table[f])]
     if plan.channels == 1:
-        columns = [j for f in plan.fields for j in range(*table[f])[: 1 if f in SPECTRA else None]]
-    parts = [
-        scene.materials[scene.finishes[:, 0]][:, np.array(columns)],
-        radiance[scene.finishes[:, 1]][:, : plan.channels],
-    ]
+        columns = [j for f in held for j in range(*table[f])[: 1 if f in SPECTRA else None]]
+    materials = scene.materials[scene.finishes[:, 0]]
+    bright = radiance[scene.finishes[:, 1]][:, : plan.channels]
+    parts = [materials[:, np.array(columns)], *derive(plan.lobes, table, materials), bright]
     if plan.textured_lights:
         parts.append(scene.radiance_map[scene.finishes[:, 1]][:, None].astype(radiance.dtype))
     finishes = jnp.concatenate(parts, -1)

@@ -62,6 +62,18 @@ ITEMS = {
     ),
     "principled": two(principled("", METAL), principled("", GLASS)),
     "principledthin": two(principled("thin", 'spec_trans=".3" diff_trans=".8" sheen="1"'), principled("thin", GLASS)),
+    "roughdielectric": two(
+        '<bsdf type="roughdielectric"><float name="alpha" value=".2"/></bsdf>',
+        '<bsdf type="roughdielectric"><string name="distribution" value="ggx"/><float name="alpha_u" value=".6"/>'
+        '<float name="alpha_v" value=".3"/><string name="int_ior" value="diamond"/>'
+        '<rgb name="specular_reflectance" value=".9,.8,.7"/><rgb name="specular_transmittance" value=".6,.7,.8"/></bsdf>',
+    ),
+    "roughplastic": two(
+        '<bsdf type="roughplastic"><rgb name="diffuse_reflectance" value=".1,.27,.36"/></bsdf>',
+        '<bsdf type="twosided"><bsdf type="roughplastic"><rgb name="diffuse_reflectance" value=".9,.5,.1"/>'
+        '<boolean name="nonlinear" value="true"/><string name="distribution" value="ggx"/>'
+        '<float name="alpha" value=".4"/></bsdf></bsdf>',
+    ),
     "null": two('<bsdf type="null"/>', '<bsdf type="conductor"/>'),
 }
 

@@ -9,18 +9,19 @@ from __future__ import annotations
 
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 
 from ..vector import Spectrum, Vec3, where
-from . import diffuse, ggx, glass, mirror, plastic, principled, principled_thin, rough
+from . import diffuse, ggx, glass, mirror, plastic, principled, principled_thin, rough, rough_glass, rough_plastic
 from .lobe import Lobe
-from .material import ALBEDOS, MAPPED, NUMBERS, SPECTRA, Material, MaterialColumns
+from .material import ALBEDOS, DERIVED, MAPPED, NUMBERS, SPECTRA, Material, MaterialColumns
 
 LOBES: dict[str, Lobe] = {
     lobe.name: lobe
     for lobe in (
-        diffuse.LOBE, mirror.LOBE, ggx.LOBE, rough.SEPARABLE, rough.BECKMANN, glass.SOLID, glass.THIN, glass.NOTHING,
-        plastic.LOBE, principled.LOBE, principled_thin.LOBE,
+        diffuse.LOBE, mirror.LOBE, ggx.LOBE, *rough.LOBES, glass.SOLID, glass.THIN, glass.NOTHING, plastic.LOBE,
+        *rough_glass.LOBES, *rough_plastic.LOBES, principled.LOBE, principled_thin.LOBE,
     )
 }  # fmt: skip
 
@@ -61,6 +62,21 @@ def sample(lobes: tuple[str, ...], m: Material, wo: Vec3, u: tuple[Any, ...]) ->
     return wi, _select(lobes, m, [LOBES[name].is_delta(m, wo, u) if LOBES[name].delta else no for name in lobes])
 
 
+def derive(lobes: tuple[str, ...], columns: MaterialColumns, rows: Any) -> list[Any]:
+    """Columns of the fields in `DERIVED`, for rows (Q, width) of a scene's table, where a lobe reads them."""
+    able = {name: LOBES[name].derive for name in lobes}
+    able = {name: f for name, f in able.items() if f is not None}
+    if not able:
+        return []
+
+    def one(row: Any) -> Any:
+        m = Material.of(row, columns)
+        found = _select(tuple(able), m, [f(m) for f in able.values()])
+        return jnp.stack([a for field in DERIVED for a in jax.tree.leaves(found[field])])
+
+    return [jax.vmap(one)(rows)]
+
+
 def cosine(lobes: tuple[str, ...], w: Vec3) -> Any:
     """cosθ of projected solid angle, of both sides where a lobe transmits by more than a delta."""
     return jnp.abs(w.z) if is_translucent(lobes) else w.z
@@ -92,6 +108,6 @@ def delta_weight(lobes: tuple[str, ...], m: Material, wi: Vec3, wo: Vec3) -> Spe
 
 
 __all__ = [
-    "ALBEDOS", "LOBES", "MAPPED", "NUMBERS", "SPECTRA", "Lobe", "Material", "MaterialColumns", "chooses",
-    "cosine", "delta_weight", "eval", "has_delta", "is_translucent", "pdf", "sample",
+    "ALBEDOS", "DERIVED", "LOBES", "MAPPED", "NUMBERS", "SPECTRA", "Lobe", "Material", "MaterialColumns", "chooses",
+    "cosine", "delta_weight", "derive", "eval", "has_delta", "is_translucent", "pdf", "sample",
 ]  # fmt: skip

@@ -59,7 +59,8 @@ def _bound(m: Any, wo: Vec3) -> Any:
 
 
 def visible_normal(alpha: tuple[Any, Any], wo: Vec3, u: tuple[Any, ...], bound: Any = 1.0) -> Vec3:
-    """A normal as ω_o sees it from above (Dupuy and Benyoub 2023), of those whose mirror directions a bound leaves."""
+    """A normal drawn by how much of it ω_o, above the surface, sees (Dupuy and Benyoub 2023): its reflection is even
+    over a cap that reaches down to −z, or `bound` of that, where facets are stretched to a sphere."""
     ax, ay = alpha
     stretched = normalise(Vec3(ax * wo.x, ay * wo.y, wo.z))
     c, sn = circle(u[0])
@@ -71,9 +72,9 @@ def visible_normal(alpha: tuple[Any, Any], wo: Vec3, u: tuple[Any, ...], bound: 
 
 
 def visible_density(alpha: tuple[Any, Any], h: Vec3, wo: Vec3) -> Any:
-    """Density of `visible_normal` over solid angle, for h above the surface and ω_o above both."""
+    """Density over solid angle of `visible_normal`, G₁(ω_o) D(h) (ω_o · h) / cosθ_o."""
     m = Material(alpha=alpha)
-    return 2.0 * distribution(m, h) * dot(wo, h) / positive(wo.z + length(m, wo))
+    return distribution(m, h) * (2.0 * jnp.maximum(dot(h, wo), 0.0) / positive(wo.z + length(m, wo)))
 
 
 def sample(m: Any, wo: Vec3, u: tuple[Any, ...]) -> Vec3:

@@ -32,6 +32,7 @@ class Lobe:
     (radiance per incident radiance, over the chance of that direction), and says which samples are the delta's: all
     of them, where it has nothing else. Densities are the chance of the rest times its density. `u` are two uniform
     numbers for a direction, and one more where a lobe of the plan `chooses`. `transmits`: some light goes through.
+    `derive`: of a row, the fields in `DERIVED` that the lobe reads.
     """
 
     name: str
@@ -46,3 +47,4 @@ class Lobe:
     transmits: bool = False
     translucent: bool = False
     chooses: bool = False
+    derive: Callable[[Any], dict[str, Any]] | None = None

@@ -28,18 +28,23 @@ must stay finite. `alpha`, the roughness along both tangents, has two numbers.""
 MAPPED = (*SPECTRA, "alpha", *(n for n in NUMBERS if n not in ("lobe", "twosided")))
 """Fields that may have textures; the column `map:reflectance` holds the number of one, 0 for none."""
 
+DERIVED = {"coat": 10, "inside": 1}
+"""Numbers that no scene holds: a lobe finds them from the others of its row, once a render (`Lobe.derive`)."""
+
 SMOOTHEST = 1e-4
 """Roughness below which a lobe would leave float32; an optimisation may walk there."""
 
 
 class MaterialColumns:
-    """Which columns of a material's row hold which field, for a number of channels and a set of lobes."""
+    """Which columns of a material's row hold which field, for a number of channels and a set of lobes' fields; by
+    default all that a scene holds."""
 
     def __init__(self, channels: int, fields: tuple[str, ...] | None = None):
-        sizes = dict.fromkeys(NUMBERS, 1) | {"alpha": 2} | dict.fromkeys(SPECTRA, channels)
-        sizes |= {f"map:{name}": 2 if name == "alpha" else 1 for name in MAPPED}
+        held = dict.fromkeys(NUMBERS, 1) | {"alpha": 2} | dict.fromkeys(SPECTRA, channels)
+        held |= {f"map:{name}": 2 if name == "alpha" else 1 for name in MAPPED}
+        sizes = held | DERIVED
         self.channels, self.at, start = channels, {}, 0
-        for name in sizes if fields is None else fields:
+        for name in held if fields is None else fields:
             self.at[name] = (start, start + sizes[name])
             start += sizes[name]
         self.width = start
@@ -63,12 +68,14 @@ class Material(eqx.Module):
         self.fields = fields
 
     def __getattr__(self, name: str) -> Any:
-        if name in SPECTRA or name in NUMBERS or name == "alpha":
+        if name in SPECTRA or name in NUMBERS or name in DERIVED or name == "alpha":
             return self.fields.get(name)
         raise AttributeError(name)
 
     @classmethod
-    def of(cls, row: Any, columns: MaterialColumns, textured: Callable[[Any, Spectrum], Spectrum]) -> Material:
+    def of(
+        cls, row: Any, columns: MaterialColumns, textured: Callable[[Any, Spectrum], Spectrum] = lambda k, v: v
+    ) -> Material:
         """The material of a row. `textured`: the value of the texture of a number, or what is given where that is 0."""
         values: dict[str, Any] = {}
         for name, (start, stop) in columns.at.items():
@@ -85,6 +92,8 @@ class Material(eqx.Module):
                     )
             if name == "alpha":
                 values[name] = tuple(jnp.maximum(c, SMOOTHEST) for c in cells)
+            elif name in SPECTRA:
+                values[name] = Spectrum(cells)
             else:
-                values[name] = Spectrum(cells) if name in SPECTRA else cells[0]
+                values[name] = cells if stop - start > 1 else row[start]
         return cls(**values)

@@ -6,7 +6,9 @@ f_r = F D G₁(ω_i) G₁(ω_o) / (4 cosθ_i cosθ_o). Both draw directions as `
 
 from __future__ import annotations
 
-from typing import Any
+import functools
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -16,21 +18,28 @@ from . import ggx
 from .lobe import Lobe
 
 
-def separable(m: Any, wi: Vec3, wo: Vec3) -> Spectrum:
-    h = normalise(wi + wo)
-    masked = lambda w: 1.0 / ggx.positive(w.z + ggx.length(m, w))  # G₁/(2 cosθ)
-    return ggx.facet(m, h, wo) * (ggx.distribution(m, h) * masked(wi) * masked(wo))
+class Normals(NamedTuple):
+    """How facets are turned: D(h), and of a direction above the surface G₁/(2 cosθ)."""
+
+    distribution: Callable[[Any, Vec3], Any]
+    masked: Callable[[Any, Vec3], Any]
+
+
+def _smith(m: Any, w: Vec3) -> Any:
+    return 1.0 / ggx.positive(w.z + ggx.length(m, w))
 
 
 def _beckmann(m: Any, h: Vec3) -> Any:
     ax, ay = m.alpha
     z2 = jnp.maximum(h.z * h.z, 1e-8)
     t2 = ((h.x / ax) ** 2 + (h.y / ay) ** 2) / z2
+    some = t2 < 80.0  # else 0 in float32, but its derivative would be 0/0
+    t2, z2 = jnp.where(some, t2, 80.0), jnp.where(some, z2, 1.0)
     return jnp.exp(-t2) / (np.pi * ax * ay * z2 * z2)
 
 
-def _masked(m: Any, w: Vec3) -> Any:
-    """G₁/(2 cosθ) of Beckmann normals, by Walter's rational fit (2007) in a = 1/(α tanθ)."""
+def _walter(m: Any, w: Vec3) -> Any:
+    """Of Beckmann normals, by Walter's rational fit (2007) in a = 1/(α tanθ)."""
     ax, ay = m.alpha
     across = jnp.sqrt((ax * w.x) ** 2 + (ay * w.y) ** 2 + 1e-30)
     shallow = w.z < 1.6 * across
@@ -40,11 +49,21 @@ def _masked(m: Any, w: Vec3) -> Any:
     return 0.5 * jnp.where(shallow, fit, 1.0 / ggx.positive(w.z))
 
 
-def beckmann(m: Any, wi: Vec3, wo: Vec3) -> Spectrum:
+GGX = Normals(ggx.distribution, _smith)
+BECKMANN = Normals(_beckmann, _walter)
+
+
+def reflected(normals: Normals, m: Any, h: Vec3, wi: Vec3, wo: Vec3) -> Any:
+    """D G₁ G₁ / (4 cosθ_i cosθ_o)."""
+    return normals.distribution(m, h) * normals.masked(m, wi) * normals.masked(m, wo)
+
+
+def _eval(normals: Normals, m: Any, wi: Vec3, wo: Vec3) -> Spectrum:
     h = normalise(wi + wo)
-    return ggx.facet(m, h, wo) * (_beckmann(m, h) * _masked(m, wi) * _masked(m, wo))
+    return ggx.facet(m, h, wo) * reflected(normals, m, h, wi, wo)
 
 
-FIELDS = ggx.LOBE.fields
-SEPARABLE = Lobe("ggx_separable", 3, FIELDS, ggx.sample, separable, ggx.pdf)
-BECKMANN = Lobe("beckmann", 4, FIELDS, ggx.sample, beckmann, ggx.pdf)
+LOBES = tuple(
+    Lobe(name, number, ggx.LOBE.fields, ggx.sample, functools.partial(_eval, normals), ggx.pdf)
+    for name, number, normals in (("ggx_separable", 3, GGX), ("beckmann", 4, BECKMANN))
+)

@@ -92,17 +92,23 @@ def _conductor(ctx: Context, element: Element, name: str) -> dict[str, Any]:
 
 
 def _rough_conductor(ctx: Context, element: Element, name: str) -> dict[str, Any]:
-    distribution = ctx.string(element, "distribution", "beckmann").lower()  # Mitsuba's default
-    if distribution not in _DISTRIBUTIONS:
+    rough = _microfacets(ctx, element)
+    return {**rough, "distribution": _SEPARABLE[rough["distribution"]], **_conductor(ctx, element, name)}
+
+
+def _microfacets(ctx: Context, element: Element) -> dict[str, Any]:
+    """Roughness and distribution, with Mitsuba's defaults."""
+    distribution = ctx.string(element, "distribution", "beckmann").lower()
+    if distribution not in _SEPARABLE:
         element.fail(f"distribution {distribution[:80]!r} is not known; give beckmann or ggx")
     both = [key in element.values for key in ("alpha_u", "alpha_v")]
     if any(both) and (not all(both) or "alpha" in element.values):
         element.fail("has only part of its roughness; give alpha, or both alpha_u and alpha_v")
     alpha = [_roughness(ctx, element, key) for key in (("alpha_u", "alpha_v") if any(both) else ("alpha",))]
-    return {"alpha": alpha, "distribution": _DISTRIBUTIONS[distribution], **_conductor(ctx, element, name)}
+    return {"alpha": alpha, "distribution": distribution}
 
 
-_DISTRIBUTIONS = {"beckmann": "beckmann", "ggx": "ggx_separable"}
+_SEPARABLE = {"beckmann": "beckmann", "ggx": "ggx_separable"}
 
 
 def _index(ctx: Context, element: Element, name: str, default: str) -> float:
@@ -134,9 +140,17 @@ def _thin_dielectric(ctx: Context, element: Element, name: str) -> dict[str, Any
     return {**_dielectric(ctx, element, name), "thin": True}
 
 
+def _rough_dielectric(ctx: Context, element: Element, name: str) -> dict[str, Any]:
+    return {**_dielectric(ctx, element, name), **_microfacets(ctx, element)}
+
+
 def _plastic(ctx: Context, element: Element, name: str) -> dict[str, Any]:
     fields = _boundary(ctx, element, "polypropylene", diffuse_reflectance=0.5, specular_reflectance=1.0)
     return {**fields, "nonlinear": ctx.boolean(element, "nonlinear", False)}
+
+
+def _rough_plastic(ctx: Context, element: Element, name: str) -> dict[str, Any]:
+    return {**_plastic(ctx, element, name), **_microfacets(ctx, element)}
 
 
 def _roughness(ctx: Context, element: Element, name: str) -> Any:
@@ -146,7 +160,7 @@ def _roughness(ctx: Context, element: Element, name: str) -> Any:
     alpha = np.atleast_1d(alpha)
     if (alpha != alpha[0]).any():
         element.fail(f"{name} is a colour; give a <float>")
-    # Mitsuba keeps rough conductors from becoming mirrors; a wrong number is left for the part to refuse
+    # Mitsuba keeps what is rough from becoming mirrors; a wrong number is left for the part to refuse
     return max(float(alpha[0]), 1e-4) if alpha[0] >= 0 else float(alpha[0])
 
 
@@ -167,7 +181,9 @@ _BSDFS: dict[str, tuple[Any, Any]] = {
     "roughconductor": (parts.Conductor, _rough_conductor),
     "dielectric": (parts.Dielectric, _dielectric),
     "thindielectric": (parts.Dielectric, _thin_dielectric),
+    "roughdielectric": (parts.Dielectric, _rough_dielectric),
     "plastic": (parts.Plastic, _plastic),
+    "roughplastic": (parts.Plastic, _rough_plastic),
     "principled": (parts.Principled, principled),
     "principledthin": (parts.PrincipledThin, principled_thin),
     "null": (parts.Null, lambda ctx, element, name: {}),

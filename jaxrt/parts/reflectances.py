@@ -36,13 +36,23 @@ class Diffuse:
         return Row("diffuse", {"reflectance": self.reflectance}, {"reflectance": "reflectance"})
 
 
-def roughness(value: Any, element: str) -> list[Any]:
-    """[α_u, α_v], numbers or textures, from one or two."""
+def _check_roughness(part: Conductor | Dielectric | Plastic, name: str, *known: str) -> None:
+    """`alpha` becomes [α_u, α_v], numbers or textures, from one or two."""
+    check(part.distribution in known, f"{name}.distribution", f"{part.distribution!r} is not {' or '.join(known)}")
+    value, element = part.alpha, f"{name}.alpha"
     several = isinstance(value, (list, tuple)) or (isinstance(value, np.ndarray) and value.size == 2)
     both = [*value, *value][:2] if several and len(value) == 1 else list(value) if several else [value, value]
     check(len(both) == 2, element, "is one roughness or two")
-    one = lambda v: v if isinstance(v, Texture) else scalar(v, element, least=0.0, most=1.0)
-    return [varying(one(v), element, most=1.0) if isinstance(v, Texture) else one(v) for v in both]
+    one = lambda v: varying(v, element, most=1.0) if isinstance(v, Texture) else scalar(v, element, least=0, most=1.0)
+    part.alpha = [one(v) for v in both]
+
+
+def _row(alpha: list[Any], smooth: str, rough: str, fields: dict[str, Any], names: dict[str, str]) -> Row:
+    textured = any(isinstance(a, Texture) for a in alpha)
+    if not textured and max(alpha) < 1e-3:  # float32 cannot resolve the lobe (oracles, GGX furnace)
+        return Row(smooth, fields, names)
+    alpha = [a if isinstance(a, Texture) else max(a, 1e-3) for a in alpha]
+    return Row(rough, {**fields, "alpha": alpha}, {**names, "alpha": "alpha"})
 
 
 @dataclasses.dataclass
@@ -62,25 +72,15 @@ class Conductor:
 
     def __post_init__(self):
         name = self.id or "conductor"
-        known = ("ggx", "ggx_separable", "beckmann")
-        check(self.distribution in known, f"{name}.distribution", f"{self.distribution!r} is not {' or '.join(known)}")
-        self.alpha = roughness(self.alpha, f"{name}.alpha")
+        _check_roughness(self, name, "ggx", "ggx_separable", "beckmann")
         self.eta = varying(self.eta, f"{name}.eta")
         self.k = varying(self.k, f"{name}.k")
         self.specular_reflectance = varying(self.specular_reflectance, f"{name}.specular_reflectance", most=1.0)
 
     def row(self) -> Row:
-        # below, float32 cannot resolve the lobe (oracles, GGX furnace)
-        rough = any(isinstance(a, Texture) or a >= 1e-3 for a in self.alpha)
         fields = {"reflectance": self.specular_reflectance, "eta": self.eta, "k": self.k}
         names = {"specular_reflectance": "reflectance", "eta": "eta", "k": "k"}
-        if not rough:
-            return Row("mirror", fields, names)
-        return Row(
-            self.distribution,
-            {**fields, "alpha": [a if isinstance(a, Texture) else max(a, 1e-3) for a in self.alpha]},
-            {**names, "alpha": "alpha"},
-        )
+        return _row(self.alpha, "mirror", self.distribution, fields, names)
 
 
 def _check_boundary(part: Dielectric | Plastic, name: str, *albedos: str) -> None:
@@ -92,12 +92,17 @@ def _check_boundary(part: Dielectric | Plastic, name: str, *albedos: str) -> Non
         setattr(part, key, varying(getattr(part, key), f"{name}.{key}", most=1.0))
 
 
+_NAMES = {"ggx": "", "beckmann": "_beckmann"}
+"""Distributions of boundaries, and how the names of their lobes end."""
+
+
 @dataclasses.dataclass
 class Dielectric:
-    """A smooth boundary between two media, as of glass: it reflects and transmits. Shapes of it have to be closed.
+    """A boundary between two media, as of glass: it reflects and transmits. Shapes of it have to be closed.
 
     `int_ior`, `ext_ior`: indices of refraction behind and before the front side. `thin`: both faces of a thin sheet
-    at once, which does not bend light.
+    at once, which does not bend light. It is smooth (alpha 0) or has microfacets of roughness `alpha` = (α_u, α_v).
+    `distribution`: ggx or beckmann, with separable masking as Mitsuba has it.
     """
 
     int_ior: float = 1.5046
@@ -105,36 +110,52 @@ class Dielectric:
     specular_reflectance: Any = 1.0
     specular_transmittance: Any = 1.0
     thin: bool = False
+    alpha: Any = 0.0
+    distribution: Literal["ggx", "beckmann"] = "ggx"
     id: str = ""
 
     def __post_init__(self):
-        _check_boundary(self, self.id or "dielectric", "specular_reflectance", "specular_transmittance")
+        name = self.id or "dielectric"
+        _check_boundary(self, name, "specular_reflectance", "specular_transmittance")
+        _check_roughness(self, name, *_NAMES)
+        smooth = self.alpha == [0.0, 0.0]
+        check(smooth or not self.thin, f"{name}.alpha", "a thin sheet is smooth; leave out alpha")
 
     def row(self) -> Row:
         fields = {"reflectance": self.specular_reflectance, "transmittance": self.specular_transmittance}
+        fields["ior"] = self.int_ior / self.ext_ior
         names = {"specular_reflectance": "reflectance", "specular_transmittance": "transmittance", "eta": "ior"}
-        return Row("thin_glass" if self.thin else "glass", {**fields, "ior": self.int_ior / self.ext_ior}, names)
+        smooth = "thin_glass" if self.thin else "glass"
+        return _row(self.alpha, smooth, "rough_glass" + _NAMES[self.distribution], fields, names)
 
 
 @dataclasses.dataclass
 class Plastic:
-    """Diffuse paint below a smooth clear coat. `nonlinear`: colours shift as light is reflected inside many times."""
+    """Diffuse paint below a clear coat, smooth (alpha 0) or with microfacets of roughness `alpha`, alike in all
+    directions. `nonlinear`: colours shift as light is reflected inside many times. `distribution` as of `Dielectric`.
+    """
 
     diffuse_reflectance: Any = 0.5
     specular_reflectance: Any = 1.0
     int_ior: float = 1.49
     ext_ior: float = 1.000277
     nonlinear: bool = False
+    alpha: Any = 0.0
+    distribution: Literal["ggx", "beckmann"] = "ggx"
     id: str = ""
 
     def __post_init__(self):
-        _check_boundary(self, self.id or "plastic", "diffuse_reflectance", "specular_reflectance")
+        name = self.id or "plastic"
+        _check_boundary(self, name, "diffuse_reflectance", "specular_reflectance")
+        _check_roughness(self, name, *_NAMES)
+        same = self.alpha[0] == self.alpha[1] and not isinstance(self.alpha[0], Texture)
+        check(same, f"{name}.alpha", "is one roughness, alike in all directions, and no texture")
 
     def row(self) -> Row:
         fields = {"reflectance": self.diffuse_reflectance, "specular": self.specular_reflectance}
         fields |= {"ior": self.int_ior / self.ext_ior, "nonlinear": float(self.nonlinear)}
         names = {"diffuse_reflectance": "reflectance", "specular_reflectance": "specular", "eta": "ior"}
-        return Row("plastic", fields, names)
+        return _row(self.alpha, "plastic", "rough_plastic" + _NAMES[self.distribution], fields, names)
 
 
 @dataclasses.dataclass

@@ -338,8 +338,8 @@ def test_bytes_that_are_no_text(tmp_path):
             '<shape type="sphere"><emitter type="area"><transform name="to_world"/></emitter></shape>',
             "moves with its shape",
         ),
-        ('<emitter type="envmap"/>', '<emitter type="envmap">: is not supported'),
-        ('<emitter type="envmap"/>', "is not supported"),
+        ('<emitter type="sunsky"/>', '<emitter type="sunsky">: is not supported'),
+        ('<emitter type="sunsky"/>', "is not supported"),
         ('<emitter type="constant"/><emitter type="constant"/>', "second environment"),
         ('<integrator type="volpath"/>', "is not supported"),
         ('<integrator type="path"/><integrator type="path"/>', "second integrator"),
@@ -626,6 +626,10 @@ def test_glass_and_plastic(load):
     assert glass.specular_reflectance.tolist() == glass.specular_transmittance.tolist() == [1]
     thin = material(load, '<bsdf type="thindielectric"><float name="int_ior" value="2"/></bsdf>')
     assert (thin.int_ior, thin.thin) == (2.0, True)
+    rough = material(load, '<bsdf type="roughdielectric"/>')
+    assert (rough.int_ior, rough.distribution, rough.alpha) == (1.5046, "beckmann", [0.1, 0.1])
+    rough = material(load, f'<bsdf type="roughplastic">{GGX}<float name="alpha" value=".3"/></bsdf>')
+    assert (rough.int_ior, rough.distribution, rough.alpha) == (1.49, "ggx", [0.3, 0.3])
     paint = material(load, '<bsdf type="plastic"><string name="ext_ior" value="Water"/></bsdf>')
     assert (paint.int_ior, paint.ext_ior, paint.nonlinear) == (1.49, 1.333, False)
     assert (paint.diffuse_reflectance, paint.specular_reflectance) == (0.5, 1.0)
@@ -666,6 +670,11 @@ def test_principled_surfaces(load):
         ('<bsdf type="dielectric"><string name="int_ior" value="bk-7"/></bsdf>', "did you mean bk7"),
         ('<bsdf type="plastic"><float name="int_ior" value="0"/></bsdf>', "int_ior: is 0"),
         ('<bsdf type="twosided"/>', "has no BSDF inside"),
+        ('<bsdf type="twosided"><bsdf type="roughdielectric"/></bsdf>', "holds what transmits"),
+        (
+            '<bsdf type="roughplastic"><float name="alpha_u" value=".1"/><float name="alpha_v" value=".2"/></bsdf>',
+            "is one",
+        ),
         ('<bsdf type="twosided"><bsdf type="diffuse"/><bsdf type="diffuse"/></bsdf>', "has two BSDFs"),
         ('<bsdf type="twosided"><bsdf type="null"/></bsdf>', "holds what transmits"),
         ('<bsdf type="hair"/>', "is not supported"),
