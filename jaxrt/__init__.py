@@ -29,6 +29,8 @@ if TYPE_CHECKING:
     )
     from .parts import (
         Bitmap,
+        Blend,
+        BumpMap,
         Checkerboard,
         Conductor,
         Cube,
@@ -42,8 +44,10 @@ if TYPE_CHECKING:
         Group,
         Instance,
         Integrator,
+        Mask,
         Mesh,
         MeshAttribute,
+        NormalMap,
         Null,
         Plastic,
         Point,
@@ -71,9 +75,9 @@ _HOMES = {
     "effects": "Plan plan",
     "loading": "load",
     "operators": "D G K T add adjoint compose emission estimate inner neumann norm psi sub",
-    "parts": "Bitmap Checkerboard Conductor Cube Cylinder Dielectric Diffuse Directional Disk Enclosure Film Group"
-    " Instance Integrator Mesh MeshAttribute Null Plastic Point Principled PrincipledThin Rectangle SceneError Sensor"
-    " Sphere Spot TwoSided",
+    "parts": "Bitmap Blend BumpMap Checkerboard Conductor Cube Cylinder Dielectric Diffuse Directional Disk"
+    " Enclosure Film Group Instance Integrator Mask Mesh MeshAttribute NormalMap Null Plastic Point"
+    " Principled PrincipledThin Rectangle SceneError Sensor Sphere Spot TwoSided",
     "rules": "BrdfRule LightRule MisRule QuadratureRule",
     "sampling.sobol": "Stream",
     "scene": "Scene params with_params",
@@ -102,7 +106,9 @@ def __dir__() -> list[str]:
 
 __all__ = [
     "Bitmap",
+    "Blend",
     "BrdfRule",
+    "BumpMap",
     "Checkerboard",
     "Conductor",
     "Cube",
@@ -121,9 +127,11 @@ __all__ = [
     "Integrator",
     "K",
     "LightRule",
+    "Mask",
     "Mesh",
     "MeshAttribute",
     "MisRule",
+    "NormalMap",
     "Null",
     "Plan",
     "Plastic",

@@ -9,10 +9,9 @@ from typing import Any
 import jax
 import numpy as np
 
-from .brdf import SPECTRA
 from .coordinates import NONE
 from .effects import plan
-from .pack import Materials, Names, Textures, spread
+from .pack import Materials, Names, Textures, spectra, spread
 from .parts import (
     Cube,
     Cylinder,
@@ -32,7 +31,6 @@ from .parts import (
     Sphere,
     Spot,
     Texture,
-    TwoSided,
 )
 from .scene import KINDS, Scene, Structure
 from .sensor.rows import Rows
@@ -291,7 +289,6 @@ _LOCAL = {
 
 def _spectra(shape: Shape) -> list[np.ndarray]:
     """One value of each spectrum of a shape, for its number of channels."""
-    bsdf: Any = shape.bsdf.bsdf if isinstance(shape.bsdf, TwoSided) else shape.bsdf
-    found = [v for k, v in bsdf.row().fields.items() if k in SPECTRA] if hasattr(bsdf, "row") else []
+    found = spectra(shape.bsdf)
     found += [shape.emission] if shape.emission is not None else []
     return [v.mean() if isinstance(v, Texture) else v for v in found]

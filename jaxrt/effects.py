@@ -15,7 +15,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from .brdf import ALBEDOS, DERIVED, LOBES, MAPPED, SPECTRA, MaterialColumns
+from .brdf import ALBEDOS, DERIVED, LOBES, MAPPED, NODES, SPECTRA, MaterialColumns
 from .intersect import BACKENDS, choose, refusal
 from .near_lamps import solid_angle_pays
 from .parts import LAMPS, SceneError
@@ -40,6 +40,8 @@ class Plan:
     bumps: bool  # and ∂p/∂v
     coordinates: bool  # on surfaces, for textures and for tangents of curved ones
     textures: tuple[str, ...]  # kinds of them
+    nodes: tuple[str, ...]  # kinds of materials made of others
+    depth: int  # how many of those stand inside one another, at most
     textured_lights: bool
     smooth_normals: bool
     light_kinds: tuple[str, ...]  # kinds of faces that emit
@@ -72,6 +74,11 @@ class Plan:
         return bool(self.light_kinds or self.lamp_kinds or self.environment)
 
     @property
+    def tilts(self) -> bool:
+        """Whether normals are turned."""
+        return "normalmap" in self.nodes or "bumpmap" in self.nodes
+
+    @property
     def mapped(self) -> tuple[str, ...]:
         """Fields of materials that have textures."""
         return tuple(f.removeprefix("map:") for f in self.fields if f.startswith("map:"))
@@ -98,7 +105,13 @@ class _View:
                 scene.structure.slot(p)  # raises with the closest names
         self.free = set(names) if free == () else {n for p in patterns for n in fnmatch.filter(names, p)}
         used = self.array["finishes"][np.unique(self.array["shape_finish"])]
-        self.material_rows = sorted({int(r) for r in used[:, 0]} - {0})
+        rows, table, self.depth = {int(r) for r in used[:, 0]} - {0}, self.array["materials"], -1
+        inner = rows
+        while inner:  # materials made of others, level by level
+            rows, self.depth = rows | inner, self.depth + 1
+            made = [r for r in inner if table[r, self.columns["lobe"][0]] > 99.5]
+            inner = {int(table[r, self.columns[k][0]]) for r in made for k in ("first", "second")} - {0}
+        self.depth, self.material_rows = max(self.depth, 0), sorted(rows)
         self.radiance_rows = sorted({int(r) for r in (*used[:, 1], *np.asarray(scene.lamp_radiance))} | {1})
         self.assumes: list[tuple[str, str]] = []
 
@@ -145,7 +158,9 @@ def plan(scene: Scene, free: str | Iterable[str] | None = (), *, backend: str | 
     kinds = tuple(k for k, n in zip(KINDS, view.counts, strict=True) if n)
     numbers = set(view.field("lobe")[:, 0].astype(int))
     lobes = tuple(name for name, lobe in LOBES.items() if lobe.number in numbers) or ("diffuse",)
-    sided = view.field("twosided")[:, 0] > 0.5
+    made = {k: n in numbers for k, n in NODES.items()}
+    tilts = made["normalmap"] or made["bumpmap"]
+    sided = view.field("twosided")[view.field("lobe")[:, 0] < 99.5, 0] > 0.5
     twosided = "all" if sided.size and sided.all() else "some" if sided.any() else "none"
     rough = [lobe.number for lobe in LOBES.values() if "alpha" in lobe.fields]
     alpha = view.field("alpha")[np.isin(view.field("lobe")[:, 0].astype(int), rough)]
@@ -222,6 +237,7 @@ def plan(scene: Scene, free: str | Iterable[str] | None = (), *, backend: str | 
         ("instances", sizes.size > 0, f"{sizes.size} of {sizes.sum()} triangles together"),
         ("twosided", twosided != "none", f"{twosided} of the materials"),
         ("anisotropic", chosen["anisotropic"], say(anisotropic, "a roughness has a direction", "no such material")),
+        *((k, present, say(present, "a material is made so", "no such material")) for k, present in made.items()),
         *((f"texture:{k}", k in textures, _carriers(k, layout, mapped, view)) for k in TEXTURES),
         ("smooth_normals", chosen["smooth_normals"], say(smooth, "a mesh has vertex normals", "all faces are flat")),
         ("area_light", chosen["area_light"], f"{n_lights} emitting faces"),
@@ -238,6 +254,10 @@ def plan(scene: Scene, free: str | Iterable[str] | None = (), *, backend: str | 
         *((f"film:{k}", k in films, used(k in films, "film")) for k in ("box", "tent", "gaussian")),
     ]
     wanted = {f for name in lobes for f in LOBES[name].fields}
+    if any(made.values()):
+        wanted |= {"lobe", "weight", "first", "second", "shadowed"}
+        wanted |= {"reflectance"} if made["normalmap"] else set()
+        wanted |= {"roughness"} if made["bumpmap"] else set()
     wanted |= {f"map:{f}" for f in mapped if f in wanted}
     curved = any(k in kinds for k in KINDS[2:])
     if len(lobes) > 1:
@@ -250,10 +270,12 @@ def plan(scene: Scene, free: str | Iterable[str] | None = (), *, backend: str | 
         lobes=lobes,
         fields=tuple(f for f in (*view.columns.at, *DERIVED) if f in wanted),
         twosided=twosided,
-        tangents=chosen["anisotropic"],
-        bumps=False,
+        tangents=chosen["anisotropic"] or tilts,
+        bumps=made["bumpmap"],
         coordinates=bool(textures) or (chosen["anisotropic"] and curved),
         textures=textures,
+        nodes=tuple(k for k, present in made.items() if present),
+        depth=view.depth,
         textured_lights=textured_lights,
         smooth_normals=chosen["smooth_normals"],
         light_kinds=tuple(k for k in KINDS if k in kinds_of_lights) if sampled else (),

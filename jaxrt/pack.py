@@ -7,14 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from .brdf import LOBES, SPECTRA, MaterialColumns
+from .brdf import LOBES, NODES, SPECTRA, MaterialColumns
 from .parts import Mesh, SceneError, Shape, TwoSided
-from .parts.textures import Bitmap, Checkerboard, MeshAttribute, Texture
+from .parts.textures import LUMINANCE, Bitmap, Checkerboard, MeshAttribute, Texture
 from .scene import Slot
 from .texture import table_row
-
-LUMINANCE = np.array([0.212671, 0.715160, 0.072169])
-"""Of linear Rec. 709: what a colour is where a texture of it stands for one number."""
 
 
 class Names:
@@ -102,23 +99,28 @@ class Materials:
         self.rows = [self.columns.row(LOBES["diffuse"].number)]
         self._index: dict[Any, int] = {}
 
-    def row(self, outer: Any, shape: Shape, first: int) -> int:
-        """The row of a shape's reflectance; the shape's faces count from `first`."""
-        inner: Any = outer.bsdf if isinstance(outer, TwoSided) else outer
+    def row(self, outer: Any, shape: Shape, first: int, twosided: bool = False) -> int:
+        """The row of a shape's reflectance; its faces count from `first`. `twosided`: as part of one that is."""
+        inner: Any = outer
+        if isinstance(outer, TwoSided):
+            twosided, inner = True, outer if outer.back is not None else outer.bsdf
         if not hasattr(inner, "row"):
             raise SceneError(f"{shape.id or 'shape'}: {type(inner).__name__} is not a reflectance that jaxrt knows")
-        lobe, fields, parameters = inner.row()
-        of_mesh = any(isinstance(v, MeshAttribute) for v in _flat(fields.values()))
-        key = (id(outer), id(shape) if of_mesh else 0)
+        key = (id(outer), id(shape) if any(isinstance(v, MeshAttribute) for v in values(inner)) else 0, twosided)
         if key in self._index:
             return self._index[key]
+        lobe, fields, parameters = inner.row()
+        fields = dict(fields)
+        for place, part in zip(("first", "second"), parts_of(inner), strict=False):
+            fields[place] = float(self.row(part, shape, first, twosided))
         name = self.names.part(outer.id or inner.id or (f"{shape.id}.bsdf" if shape.id else "bsdf"))
         row = self._index[key] = len(self.rows)
         shown = {field: key for key, field in parameters.items()}
         cells: dict[str, Any] = {}
         for field, value in fields.items():
             self._put(cells, field, value, f"{name}.{shown.get(field, field)}", shape, first)
-        self.rows.append(self.columns.row(LOBES[lobe].number, isinstance(outer, TwoSided), **cells))
+        number = NODES[lobe] if lobe in NODES else LOBES[lobe].number
+        self.rows.append(self.columns.row(number, twosided, **cells))
         for key, field in parameters.items():
             if not any(isinstance(v, Texture) for v in _flat([fields[field]])):
                 one = field not in SPECTRA and np.ptp(cells[field]) == 0
@@ -143,6 +145,28 @@ class Materials:
         cells[field] = found if several else found[0]
         if any(numbers):
             cells[f"map:{field}"] = numbers
+
+
+def parts_of(bsdf: Any) -> list[Any]:
+    """Reflectances that one is made of."""
+    return bsdf.parts() if hasattr(bsdf, "parts") else []
+
+
+def values(bsdf: Any) -> list[Any]:
+    """All values that a reflectance and its parts have."""
+    inner = bsdf.bsdf if isinstance(bsdf, TwoSided) and bsdf.back is None else bsdf
+    if not hasattr(inner, "row"):
+        return []
+    return [*_flat(inner.row().fields.values()), *(v for part in parts_of(inner) for v in values(part))]
+
+
+def spectra(bsdf: Any) -> list[Any]:
+    """Those that have a value a channel."""
+    inner = bsdf.bsdf if isinstance(bsdf, TwoSided) and bsdf.back is None else bsdf
+    if not hasattr(inner, "row"):
+        return []
+    own = [v for k, v in inner.row().fields.items() if k in SPECTRA]
+    return [*own, *(v for part in parts_of(inner) for v in spectra(part))]
 
 
 def _flat(values: Iterable[Any]) -> Iterable[Any]:

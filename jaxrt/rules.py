@@ -20,7 +20,7 @@ from . import brdf, emitter
 from .casting import cast
 from .gradient import material
 from .sampling.sobol import Drawn, Stream
-from .surface import Shading, SurfacePoint, shading_at
+from .surface import Shading, SurfacePoint, choice, shading_at
 from .vector import Spectrum, Vec3, where
 from .world import World, world_of
 
@@ -52,7 +52,7 @@ def met_share(world: World, x: SurfacePoint, o: Vec3, d: Vec3, pdf: Any, delta: 
 def reflected(world: World, at: Shading, w: Vec3) -> Spectrum:
     """f_r cosθ for a direction of the world."""
     wi = at.to_local(w)
-    return brdf.eval(world.plan.lobes, at.material, wi, at.wo) * brdf.cosine(world.plan.lobes, wi)
+    return brdf.eval(world.plan.lobes, at.material, wi, at.wo) * brdf.cosine(world.plan.lobes, wi) * at.factor(w)
 
 
 def reflection_density(world: World, at: Shading, w: Vec3) -> Any:
@@ -76,6 +76,8 @@ def reflection_node(world: World, at: Shading, s: Stream | Drawn, pair: int = 0)
     if brdf.has_delta(lobes):
         weight = where(delta, brdf.delta_weight(lobes, m, local, at.wo), weight)
         w = where(delta, attached, w)
+    if at.found is not None:
+        weight = weight * at.factor(w)
     return Node(w, weight, p, delta, s)
 
 
@@ -102,7 +104,7 @@ class BrdfRule(eqx.Module):
     n: int = eqx.field(static=True, default=1)
 
     def __call__(self, x: SurfacePoint, w: Vec3, s: Stream) -> Node:
-        at = shading_at(self.world, x, w)
+        at = shading_at(self.world, x, w, choice(self.world, s))
         return _averaged(_nodes(self.n, lambda t: reflection_node(self.world, at, t), s), self.n)
 
 
@@ -113,7 +115,7 @@ class LightRule(eqx.Module):
     n: int = eqx.field(static=True, default=1)
 
     def __call__(self, x: SurfacePoint, w: Vec3, s: Stream) -> Node:
-        world, at = self.world, shading_at(self.world, x, w)
+        world, at = self.world, shading_at(self.world, x, w, choice(self.world, s))
 
         def one(t: Stream) -> Node:
             node, light = light_node(world, x, at, t)
@@ -131,7 +133,7 @@ class MisRule(eqx.Module):
     n: int = eqx.field(static=True, default=1)
 
     def __call__(self, x: SurfacePoint, w: Vec3, s: Stream) -> Node:
-        world, at = self.world, shading_at(self.world, x, w)
+        world, at = self.world, shading_at(self.world, x, w, choice(self.world, s))
         by_brdf = BrdfRule(world, self.n)(x, w, s)
         if not world.plan.lights:
             return by_brdf
@@ -165,7 +167,7 @@ class QuadratureRule(eqx.Module):
     turn: float = eqx.field(static=True, default=0.5)
 
     def __call__(self, x: SurfacePoint, w: Vec3, s: Stream) -> Node:
-        at = shading_at(self.world, x, w)
+        at = shading_at(self.world, x, w, choice(self.world, s))
         u, du = np.polynomial.legendre.leggauss(self.n_theta)
         u, du = 0.5 * (u + 1.0), 0.5 * du
         phi = 2 * np.pi * (np.arange(self.n_phi) + self.turn) / self.n_phi
@@ -176,6 +178,6 @@ class QuadratureRule(eqx.Module):
 
         def node(v: Vec3, d: Any) -> Node:
             f = brdf.eval(self.world.plan.lobes, at.material, v, at.wo)
-            return Node(at.to_world(v), f * d, 1.0 / d, jnp.asarray(False), s)
+            return Node(at.to_world(v), f * (d * at.factor(at.to_world(v))), 1.0 / d, jnp.asarray(False), s)
 
         return jax.vmap(node)(local, weights)

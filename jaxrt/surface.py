@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from . import coordinates
+from . import coordinates, nodes
 from .brdf import LOBES, Material, MaterialColumns
 from .scene import FACE, KINDS
 from .texture import Place
@@ -188,32 +189,61 @@ class Shading(eqx.Module):
     material: Material
     wo: Vec3
     even: Any = True  # whether the material is the same all over the face
+    found: nodes.Found | None = None  # where the plan has materials made of others
 
     def to_local(self, w: Vec3) -> Vec3:
+        v = self._base(w)
+        return v if self.found is None or self.found.tilt is None else self.found.tilt.to_local(v)
+
+    def _base(self, w: Vec3) -> Vec3:
         v = self.frame.to_local(w)
         return Vec3(v.x, v.y, v.z * self.side)
 
     def to_world(self, v: Vec3) -> Vec3:
+        if self.found is not None and self.found.tilt is not None:
+            v = self.found.tilt.to_world(v)
         return self.frame.to_world(Vec3(v.x, v.y, v.z * self.side))
 
+    def factor(self, w: Vec3) -> Any:
+        """What light from ω is worth beside what the lobe makes of it: the share of the choice of that lobe, and what a
+        turned normal lets through; nothing, where that and the surface see ω on different sides."""
+        if self.found is None:
+            return 1.0
+        if self.found.tilt is None:
+            return self.found.share
+        base, local = self._base(w), self.to_local(w)
+        cos2 = jnp.maximum(base.z * base.z, 1e-12)
+        through = 2.0 / (1.0 + safe_sqrt(1.0 + self.found.shade * (1.0 - cos2) / cos2))
+        return jnp.where(base.z * local.z > 0, self.found.share * through, 0.0)
 
-def shading_at(world: World, x: SurfacePoint, wo: Vec3) -> Shading:
-    """Where ω_o is behind a two-sided surface the local frame is mirrored, so that cosines are positive."""
+
+def choice(world: World, s: Any) -> Any:
+    """A uniform number where a plan has mixtures to choose from."""
+    return s.child(9).pair_at(0)[0] if "blend" in world.plan.nodes else None
+
+
+def shading_at(world: World, x: SurfacePoint, wo: Vec3, u: Any = None, moving: bool = False) -> Shading:
+    """Where ω_o is behind a two-sided surface the local frame is mirrored, so that cosines are positive.
+
+    `u`: from `choice`. `moving`: whether derivatives are taken.
+    """
     plan = world.plan
     frame = Frame.around(x.shading) if x.tangent is None else Frame.along(x.shading, x.tangent)
     columns = MaterialColumns(plan.channels, plan.fields)
-    row = _row(world.finishes, x.finish)
+    row, behind, found = _row(world.finishes, x.finish), dot(x.shading, wo) < 0, None
+    if plan.nodes:
+        found = nodes.found(world, x, frame, wo, row, u, moving)
+        row = found.row
     material = Material.of(row, columns, lambda k, v: textured(world, k, x.place, v))
     even = True if (maps := columns.at.get("map:reflectance")) is None else row[maps[0]] == 0
-    behind = dot(x.shading, wo) < 0
     if plan.twosided == "all":
         side = jnp.where(behind, -1.0, 1.0)
     elif plan.twosided == "some":
         side = jnp.where(behind & (material.twosided > 0.5), -1.0, 1.0)
     else:
         side = jnp.ones_like(wo.x)
-    v = frame.to_local(wo)
-    return Shading(frame, side, material, Vec3(v.x, v.y, v.z * side), even)
+    at = Shading(frame, side, material, wo, even if found is None else even & found.single, found)
+    return dataclasses.replace(at, wo=at.to_local(wo))
 
 
 def is_diffuse(world: World, at: Shading) -> Any:

@@ -59,6 +59,7 @@ class World(eqx.Module):
     textures: Textures | None
     environment: Environment | None
     plan: Plan = eqx.field(static=True)
+    inner: int = eqx.field(static=True)  # rows of `finishes`, the last ones, to which other rows refer
     blocks: tuple[int, ...] = eqx.field(static=True)
 
     def settle(self, tree: Any) -> Any:
@@ -293,6 +294,11 @@ def prepare(scene: Scene, plan: Plan) -> World:
     if plan.textured_lights:
         parts.append(scene.radiance_map[scene.finishes[:, 1]][:, None].astype(radiance.dtype))
     finishes = jnp.concatenate(parts, -1)
+    if plan.nodes:  # then rows of all materials, to which others refer
+        rest = jnp.zeros((len(scene.materials), finishes.shape[1] - len(columns)), finishes.dtype)
+        derived = derive(plan.lobes, table, scene.materials)
+        inner = jnp.concatenate([scene.materials[:, np.array(columns)], *derived, rest], -1)
+        finishes = jnp.concatenate([finishes, inner[:, : finishes.shape[1]]])
     epsilon = 8 * 2.0**-23 * jnp.maximum(sg(reach), sg(radius))
     origins = jnp.concatenate([o, geometry[:, 3:]], -1)
     faces = Faces(origins, maps, scene.counts, center, epsilon, scene.blocks, instances, scene.copies)
@@ -313,6 +319,7 @@ def prepare(scene: Scene, plan: Plan) -> World:
         environment=Environment.of(scene, plan.environment) if plan.environment else None,
         textures=Textures.of(scene, plan.channels, plan.textures) if plan.textures else None,
         plan=plan,
+        inner=len(scene.materials) if plan.nodes else 0,
         blocks=scene.blocks,
     )
 

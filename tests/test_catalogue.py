@@ -147,6 +147,9 @@ def pictures(tmp_path):
     random = np.random.default_rng(3)
     Image.fromarray(random.integers(30, 250, (3, 5, 3), np.uint8)).save(tmp_path / "colours.png")
     Image.fromarray(random.integers(40, 250, (4, 3), np.uint8)).save(tmp_path / "grey.png")
+    normals = random.normal(size=(4, 5, 3)) * (0.4, 0.4, 0.1) + (0, 0, 1)
+    normals = 0.5 + 0.5 * normals / np.linalg.norm(normals, axis=-1, keepdims=True)
+    Image.fromarray((255 * normals).astype(np.uint8)).save(tmp_path / "normals.png")
     image.write_exr(tmp_path / "bright.exr", random.random((4, 6, 3)).astype(np.float32) ** 3 * 6)
     corners = [(-1, -1, 0), (1, -1, 0.3), (1, 1, 0), (-1, 1, 0.4)]
     uvs, colours = (
@@ -185,6 +188,11 @@ def attribute(name):
     return SHEET.format(diffuse(f'<texture type="mesh_attribute" name="reflectance"><string name="name" value="{name}"/></texture>'))  # fmt: skip
 
 
+def turned(plugin, texture, inner):
+    return f'<bsdf type="{plugin}">{texture}{inner}</bsdf>'
+
+
+RAW = '<boolean name="raw" value="true"/>'
 TEXTURED = {
     "bitmap": two(diffuse(bitmap("reflectance", "colours.png")), diffuse(bitmap("reflectance", "grey.png"))),
     "bitmap nearest": two(
@@ -202,6 +210,29 @@ TEXTURED = {
     "principled": two(
         f'<bsdf type="principled">{bitmap("base_color", "colours.png")}{bitmap("roughness", "grey.png", RAW)}</bsdf>',
         f'<bsdf type="principledthin">{bitmap("diff_trans", "grey.png", RAW)}</bsdf>',
+    ),
+    "blendbsdf": two(
+        f'<bsdf type="blendbsdf"><float name="weight" value=".3"/>{rough("ggx", GOLD)}<bsdf type="diffuse"/></bsdf>',
+        f"""<bsdf type="blendbsdf">{bitmap("weight", "grey.png")}<bsdf type="plastic"/><bsdf type="blendbsdf">
+        <float name="weight" value=".6"/><bsdf type="dielectric"/><bsdf type="diffuse"/></bsdf></bsdf>""",
+    ),
+    "mask": two(
+        f'<bsdf type="mask">{bitmap("opacity", "grey.png")}<bsdf type="twosided"><bsdf type="diffuse"/></bsdf></bsdf>',
+        '<bsdf type="mask"><float name="opacity" value=".4"/><bsdf type="conductor"/></bsdf>',
+    ),
+    "twosided": f"""<shape type="cylinder"><bsdf type="twosided">{diffuse(CHECKERS.format(""))}{rough("ggx", GOLD)}</bsdf>
+    </shape><shape type="disk"><transform name="to_world"><rotate y="1" angle="110"/><translate x="-1.2"/></transform>
+    <bsdf type="twosided">{rough("beckmann", "")}<bsdf type="diffuse"/></bsdf></shape>""",
+    "normalmap": two(
+        turned("normalmap", bitmap("normalmap", "normals.png", RAW), '<bsdf type="diffuse"/>'),
+        f"""<bsdf type="twosided">{turned("normalmap", bitmap("normalmap", "normals.png", RAW), rough("ggx", GOLD))}
+        </bsdf>""",
+    ),
+    "bumpmap": two(
+        turned("bumpmap", bitmap("bump", "grey.png", RAW) + '<float name="scale" value=".4"/>', rough("ggx", GOLD)),
+        turned(
+            "bumpmap", bitmap("bump", "grey.png", RAW) + '<float name="scale" value=".2"/>', '<bsdf type="diffuse"/>'
+        ),
     ),
     "emission": two('<bsdf type="diffuse"/>', f'<emitter type="area">{bitmap("radiance", "bright.exr")}</emitter>')
     + f"""<shape type="rectangle"><transform name="to_world"><lookat origin="-2,-1,2" target="0,0,0" up="0,0,1"/>

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 from ..vector import Spectrum, Vec3, where
 from . import diffuse, ggx, glass, mirror, plastic, principled, principled_thin, rough, rough_glass, rough_plastic
 from .lobe import Lobe
-from .material import ALBEDOS, DERIVED, MAPPED, NUMBERS, SPECTRA, Material, MaterialColumns
+from .material import ALBEDOS, DERIVED, MAPPED, NODES, NUMBERS, SPECTRA, Material, MaterialColumns
 
 LOBES: dict[str, Lobe] = {
     lobe.name: lobe
@@ -108,6 +108,6 @@ def delta_weight(lobes: tuple[str, ...], m: Material, wi: Vec3, wo: Vec3) -> Spe
 
 
 __all__ = [
-    "ALBEDOS", "DERIVED", "LOBES", "MAPPED", "NUMBERS", "SPECTRA", "Lobe", "Material", "MaterialColumns", "chooses",
-    "cosine", "delta_weight", "derive", "eval", "has_delta", "is_translucent", "pdf", "sample",
+    "ALBEDOS", "DERIVED", "LOBES", "MAPPED", "NODES", "NUMBERS", "SPECTRA", "Lobe", "Material", "MaterialColumns",
+    "chooses", "cosine", "delta_weight", "derive", "eval", "has_delta", "is_translucent", "pdf", "sample",
 ]  # fmt: skip

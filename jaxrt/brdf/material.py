@@ -21,11 +21,16 @@ NUMBERS = {
     "lobe": 0.0, "twosided": 0.0, "ior": 1.0, "nonlinear": 0.0,
     "roughness": 1.0, "anisotropic": 0.0, "metallic": 0.0, "spec_trans": 0.0, "spec_tint": 0.0, "sheen": 0.0,
     "sheen_tint": 0.0, "flatness": 0.0, "clearcoat": 0.0, "clearcoat_gloss": 0.0, "diff_trans": 0.0,
+    "weight": 0.0, "first": 0.0, "second": 0.0, "shadowed": 0.0,
 }  # fmt: skip
 """Fields of one number, and what rows hold where their lobe has no use for it: other lobes still evaluate the row, and
 must stay finite. `alpha`, the roughness along both tangents, has two numbers."""
 
-MAPPED = (*SPECTRA, "alpha", *(n for n in NUMBERS if n not in ("lobe", "twosided")))
+NODES = {"blend": 100, "sides": 101, "normalmap": 102, "bumpmap": 103}
+"""Rows that refer to other rows (`first`, `second`) instead of having a lobe: one or the other by chance (`weight`) or
+by the side that is seen, or one with its normal turned."""
+
+MAPPED = (*SPECTRA, "alpha", *(n for n in NUMBERS if n not in ("lobe", "twosided", "first", "second", "shadowed")))
 """Fields that may have textures; the column `map:reflectance` holds the number of one, 0 for none."""
 
 DERIVED = {"coat": 10, "inside": 1}

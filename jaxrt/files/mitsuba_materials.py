@@ -12,6 +12,7 @@ from .. import parts
 from . import spectra
 from .conductors import CONDUCTORS
 from .indices import INDICES
+from .mitsuba_composites import READERS
 from .mitsuba_context import Context
 from .mitsuba_principled import RATES, principled, principled_thin
 from .mitsuba_textures import TEXTURES, texture
@@ -164,17 +165,6 @@ def _roughness(ctx: Context, element: Element, name: str) -> Any:
     return max(float(alpha[0]), 1e-4) if alpha[0] >= 0 else float(alpha[0])
 
 
-def _two_sided(ctx: Context, element: Element, name: str) -> dict[str, Any]:
-    inner = ctx.children(element, "bsdf")
-    if not inner:
-        element.fail("has no BSDF inside; put one into it")
-    if len(inner) > 1:
-        element.fail("has two BSDFs, which is not supported; give one for both sides")
-    if inner[0].plugin == "twosided":
-        inner[0].fail("stands inside another twosided; remove one of the two")
-    return {"bsdf": bsdf(ctx, inner[0], f"{name}.bsdf")}
-
-
 _BSDFS: dict[str, tuple[Any, Any]] = {
     "diffuse": (parts.Diffuse, _diffuse),
     "conductor": (parts.Conductor, _conductor),
@@ -187,8 +177,9 @@ _BSDFS: dict[str, tuple[Any, Any]] = {
     "principled": (parts.Principled, principled),
     "principledthin": (parts.PrincipledThin, principled_thin),
     "null": (parts.Null, lambda ctx, element, name: {}),
-    "twosided": (parts.TwoSided, _two_sided),
 }
+for _plugin, (_part, _read) in READERS.items():
+    _BSDFS[_plugin] = _part, lambda ctx, element, name, read=_read: read(ctx, element, name, bsdf, color)
 
 
 SAMPLING = {"sampling_weight": "is a matter of sampling, and has no effect here"}

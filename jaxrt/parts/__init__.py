@@ -11,12 +11,13 @@ import dataclasses
 from collections.abc import Sequence
 
 from .checks import LARGEST, SceneError, check, matrix, scalar, spectrum, unit, varying
+from .composites import Blend, BumpMap, Mask, NormalMap
 from .lamps import LAMPS, Directional, Enclosure, Lamp, Point, Spot
 from .principled import Principled, PrincipledThin
 from .reflectances import Bsdf, Conductor, Dielectric, Diffuse, Null, Plastic, Row, TwoSided
 from .sensors import Film, Sensor
 from .shapes import Cube, Cylinder, Disk, Group, Instance, Mesh, Rectangle, Shape, Sphere
-from .textures import Bitmap, Checkerboard, MeshAttribute, Texture
+from .textures import LUMINANCE, Bitmap, Checkerboard, MeshAttribute, Texture
 
 
 @dataclasses.dataclass
@@ -49,8 +50,11 @@ class Description:
 __all__ = [
     "LAMPS",
     "LARGEST",
+    "LUMINANCE",
     "Bitmap",
+    "Blend",
     "Bsdf",
+    "BumpMap",
     "Checkerboard",
     "Conductor",
     "Cube",
@@ -66,8 +70,10 @@ __all__ = [
     "Instance",
     "Integrator",
     "Lamp",
+    "Mask",
     "Mesh",
     "MeshAttribute",
+    "NormalMap",
     "Null",
     "Plastic",
     "Point",

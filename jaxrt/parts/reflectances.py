@@ -11,6 +11,7 @@ from .checks import check, scalar, varying
 from .textures import Texture
 
 if TYPE_CHECKING:
+    from .composites import Composite
     from .principled import Principled, PrincipledThin
 
 
@@ -170,14 +171,26 @@ class Null:
 
 @dataclasses.dataclass
 class TwoSided:
-    """The same reflection on both sides of the surface."""
+    """The same reflection on both sides of the surface, or that of `back` behind it."""
 
     bsdf: Bsdf
+    back: Bsdf | None = None
     id: str = ""
 
     def __post_init__(self):
-        opaque = not isinstance(self.bsdf, (Dielectric, Null, TwoSided)) and not getattr(self.bsdf, "transmits", False)
-        check(opaque, self.id or "twosided", "holds what transmits, or another twosided; leave out this one")
+        from .composites import transmits
+
+        for part in (self.bsdf, self.back):
+            opaque = part is None or not (isinstance(part, (Null, TwoSided)) or transmits(part))
+            check(opaque, self.id or "twosided", "holds what transmits, or another twosided; leave out this one")
+
+    def parts(self) -> list[Bsdf]:
+        return [self.bsdf] if self.back is None else [self.bsdf, self.back]
+
+    def row(self) -> Row:
+        return Row("sides", {}, {})
 
 
-Bsdf: TypeAlias = "Diffuse | Conductor | Dielectric | Plastic | Principled | PrincipledThin | Null | TwoSided"
+Bsdf: TypeAlias = (
+    "Diffuse | Conductor | Dielectric | Plastic | Principled | PrincipledThin | Null | TwoSided | Composite"
+)

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ..brdf import LOBES, MaterialColumns
+from ..brdf import LOBES, NODES, MaterialColumns
 from ..scene import KINDS, Scene
 from ..world import AREA, FACE, World
 from .elements import Elements
@@ -49,7 +49,7 @@ def diffuse_sides(world: World, scene: Scene) -> tuple[np.ndarray, np.ndarray]:
     diffuse = np.full(faces, plan.lobes == ("diffuse",)) if lobe is None else lobe == LOBES["diffuse"].number
     two = np.full(faces, plan.twosided == "all") if two is None else two > 0.5
     through = [LOBES[name].number for name in plan.lobes if LOBES[name].transmits]
-    through = np.isin(lobe, through) if lobe is not None else np.full(faces, bool(through))
+    through = np.isin(lobe, [*through, *NODES.values()]) if lobe is not None else np.full(faces, bool(through))
     if (maps := field("map:reflectance")) is not None:  # what varies within an element is followed, not stored
         diffuse &= maps == 0
     diffuse, reflects = diffuse & used, np.concatenate([used, used & two])

@@ -20,7 +20,7 @@ from ..compiler import one_function
 from ..gradient import material
 from ..rules import balance, light_node, met_share, reflected, reflection_density, reflection_node
 from ..sampling.sobol import Drawn, Stream, combine
-from ..surface import Shading, SurfacePoint, is_diffuse, leave, radiance_of, shading_at, surface_point
+from ..surface import Shading, SurfacePoint, choice, is_diffuse, leave, radiance_of, shading_at, surface_point
 from ..vector import Spectrum, Vec3, where
 from ..world import World
 
@@ -134,7 +134,7 @@ def _land(world: World, depths: Depths, state: PathState, s: Stream, face: Any) 
     plan = world.plan
     x = surface_point(world, face, state.o, state.d)
     used = {name: getattr(x, name) for name in _USED}
-    used, s = world.settle((used, Drawn.of(s, BOUNCE_PAIRS)))
+    used, s, u = world.settle((used, Drawn.of(s, BOUNCE_PAIRS), choice(world, s)))
     x = replace(x, **used)
     wo = -state.d
     # Emission met by reflection, weighted against the chance of having drawn it as a light.
@@ -155,7 +155,7 @@ def _land(world: World, depths: Depths, state: PathState, s: Stream, face: Any) 
     landing = Landing(x, s, passed, alive, radiance)
     if not plan.bounces:
         return landing
-    at = shading_at(world, x, wo)
+    at = shading_at(world, x, wo, u, state.before is not None)
     if not plan.lights:
         return replace(landing, at=at)
     # Direct light by a light sample, weighted against reflection.

@@ -669,13 +669,13 @@ def test_principled_surfaces(load):
         ('<bsdf type="roughconductor"><string name="distribution" value="phong"/></bsdf>', "'phong' is not known"),
         ('<bsdf type="dielectric"><string name="int_ior" value="bk-7"/></bsdf>', "did you mean bk7"),
         ('<bsdf type="plastic"><float name="int_ior" value="0"/></bsdf>', "int_ior: is 0"),
-        ('<bsdf type="twosided"/>', "has no BSDF inside"),
+        ('<bsdf type="twosided"/>', "has 0 BSDFs inside"),
         ('<bsdf type="twosided"><bsdf type="roughdielectric"/></bsdf>', "holds what transmits"),
         (
             '<bsdf type="roughplastic"><float name="alpha_u" value=".1"/><float name="alpha_v" value=".2"/></bsdf>',
             "is one",
         ),
-        ('<bsdf type="twosided"><bsdf type="diffuse"/><bsdf type="diffuse"/></bsdf>', "has two BSDFs"),
+        ('<bsdf type="twosided"><bsdf type="diffuse"/><bsdf type="diffuse"/><bsdf type="diffuse"/></bsdf>', "has 3 BSDFs inside"),
         ('<bsdf type="twosided"><bsdf type="null"/></bsdf>', "holds what transmits"),
         ('<bsdf type="hair"/>', "is not supported"),
         (
