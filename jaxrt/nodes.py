@@ -45,11 +45,13 @@ def found(world: World, x: SurfacePoint, frame: Frame, wo: Vec3, row: Any, u: An
         is_node = lambda name, row=row: jnp.round(row[lobe]) == NODES[name]
         second = jnp.zeros_like(behind)
         if "blend" in plan.nodes:
-            weight = jnp.clip(_number(world, x, row, columns, "weight"), 0.0, 1.0)
-            chance = sg(jnp.clip(weight, LEAST, 1.0 - LEAST) if moving else weight)
+            weight, least = _number(world, x, row, columns, "weight"), LEAST if moving else 0.0
+            chance = sg(jnp.clip(weight, least, 1.0 - least))
             takes = u < chance
             ratio = jnp.where(takes, weight, 1.0 - weight) / jnp.where(takes, chance, 1.0 - chance)
-            again = jnp.where(takes, u / jnp.where(chance > 0, chance, 1.0), (u - chance) / (1.0 - chance))
+            again = jnp.where(
+                takes, u / jnp.where(chance > 0, chance, 1.0), (u - chance) / jnp.where(chance < 1, 1.0 - chance, 1.0)
+            )
             blends = is_node("blend")
             share = share * jnp.where(blends, ratio, 1.0)
             u = jnp.where(blends, jnp.clip(again, 0.0, 1.0 - 2.0**-24), u)

@@ -100,5 +100,5 @@ class Material(eqx.Module):
             elif name in SPECTRA:
                 values[name] = Spectrum(cells)
             else:
-                values[name] = cells if stop - start > 1 else row[start]
+                values[name] = cells if stop - start > 1 else cells[0]
         return cls(**values)

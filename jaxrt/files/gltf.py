@@ -21,27 +21,27 @@ from urllib.parse import unquote
 import numpy as np
 
 from ..parts import (
-    Bsdf,
-    Conductor,
     Description,
-    Diffuse,
+    Directional,
     Film,
     Group,
     Instance,
+    Lamp,
     Mesh,
+    Point,
     SceneError,
     Sensor,
-    TwoSided,
+    Spot,
     matrix,
 )
+from .gltf_materials import Materials
 from .mesh import fail, listed, read_bytes
-from .textures import mean_colour
 
 SHARED = 4096
 """Triangles that sharing a mesh has to save before its nodes become instances, whose hits cost a little more."""
 
-_KNOWN = {"KHR_materials_emissive_strength", "KHR_mesh_quantization"}
-_NOTED = {"KHR_lights_punctual", "KHR_texture_transform", "KHR_texture_basisu", "EXT_texture_webp", "KHR_xmp_json_ld"}
+_KNOWN = {"KHR_materials_emissive_strength", "KHR_mesh_quantization", "KHR_lights_punctual", "KHR_texture_transform"}
+_NOTED = {"KHR_texture_basisu", "EXT_texture_webp", "KHR_xmp_json_ld"}
 _COMPONENTS = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}  # 3.6.2.2
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
 _CAMERA = np.diag([-1.0, 1.0, -1.0, 1.0])  # theirs looks along −z with +x right, ours along +z with +x left
@@ -188,11 +188,11 @@ class _File:
 
 
 def load_gltf(path: str | Path) -> Description:
-    """A glTF scene: meshes with their places, metallic-roughness factors, emission and cameras.
+    """A glTF scene: meshes with their places, metallic-roughness factors, emission, lights and cameras.
 
-    A metallic factor from 1/2 on makes a `Conductor` with GGX roughness α = roughness², below it a
-    `Diffuse`. Textures, punctual lights, animation and further material extensions are named in the
-    notes. Raises `SceneError` for a file that is missing, damaged or requires an unknown extension.
+    A metallic factor from 1/2 on makes a `Conductor` with GGX roughness α = roughness², below it a `Diffuse`. Base
+    colour, its alpha, emission and normals may have textures. Other textures, animation and further material extensions
+    are named in the notes. Raises `SceneError` for a file that is missing, damaged or requires an unknown extension.
     """
     file = _File(path)
     try:
@@ -209,12 +209,12 @@ def _load(file: _File) -> Description:
     places: dict[int, list[tuple[str, np.ndarray]]] = {}
     sensors: list[Sensor] = []
     meshes: dict[int, list[tuple[str, Mesh]]] = {}
-    materials = _Materials(file)
-    lights, hidden = [], []
+    materials = Materials(file)
+    lamps, hidden = cast(list[Lamp], []), []
     for number, node, to_world in _nodes(file):
         name = file.name(node, f"node_{number}")
         if "KHR_lights_punctual" in file.entry(node, "extensions"):
-            lights.append(name)
+            lamps.append(_lamp(file, file.entry(node["extensions"], "KHR_lights_punctual"), name, to_world))
         if not ("mesh" in node or "camera" in node):
             continue
         if np.linalg.det(to_world[:3, :3]) == 0:  # a usual way to hide something
@@ -230,9 +230,8 @@ def _load(file: _File) -> Description:
             sensors.append(_sensor(file, index, name, to_world))
     for index, where in places.items():
         shapes += _placed(file, meshes[index], where)
-    used = {str(e) for e in file.table(file.json, "extensionsUsed")} - _KNOWN - {"KHR_lights_punctual"}
+    used = {str(e) for e in file.table(file.json, "extensionsUsed")} - _KNOWN
     for what, names in (
-        ("KHR_lights_punctual is not supported yet; left out the lights of", lights),
         ("scaled to nothing, so left out:", hidden),
         ("extensions are not used:", sorted(used)),
         ("animations are not used, things stand as without:", ["all"] * bool(file.table(file.json, "animations"))),
@@ -242,7 +241,7 @@ def _load(file: _File) -> Description:
             file.notes.append(f"{file.path}: {what} {listed(names)}")
     if not shapes:
         file.fail("has no triangle meshes in its scene; jaxrt needs surfaces")
-    return Description(shapes, sensors, notes=list(dict.fromkeys(file.notes)))
+    return Description(shapes, sensors, lamps=lamps, notes=list(dict.fromkeys(file.notes)))
 
 
 def _placed(
@@ -316,7 +315,7 @@ def _unmirrored(mesh: Mesh) -> Mesh:
     return dataclasses.replace(mesh, vertices=vertices, normals=normals, faces=mesh.faces[:, ::-1], to_world=np.eye(4))
 
 
-def _primitives(file: _File, index: int, materials: _Materials) -> Iterator[tuple[str, Mesh]]:
+def _primitives(file: _File, index: int, materials: Materials) -> Iterator[tuple[str, Mesh]]:
     mesh = file.item("meshes", index)
     name = file.name(mesh, f"mesh_{index}")
     primitives = file.table(mesh, "primitives")
@@ -346,7 +345,7 @@ def _primitives(file: _File, index: int, materials: _Materials) -> Iterator[tupl
         used, faces = np.unique(_triangles(corners.astype(np.int64), mode), return_inverse=True)
         if "targets" in primitive:
             file.notes.append(f"{file.path}: morph targets of {name!r} are not used")
-        bsdf, look = materials.get(primitive.get("material"))
+        bsdf, look = materials.get(primitive.get("material"), columns["uvs"] is not None)
         columns = {key: None if a is None else a[used] for key, a in columns.items()}
         vertices, faces = vertices[used], faces.reshape(-1, 3)
         yield (
@@ -364,76 +363,28 @@ def _triangles(corners: np.ndarray, mode: int) -> np.ndarray:
     return corners[np.stack(order, 1)]
 
 
-class _Materials:
-    """Materials by index; meshes that use the same one share the object."""
-
-    def __init__(self, file: _File):
-        self.file, self.made = file, cast(dict[Any, tuple[Bsdf, dict[str, Any]]], {})
-        names = [file.name(file.item("materials", k), "") for k in range(len(file.table(file.json, "materials")))]
-        self.names = [n if n and names.count(n) == 1 else f"{n or 'material'}_{k}" for k, n in enumerate(names)]
-
-    def get(self, index: Any) -> tuple[Bsdf, dict[str, Any]]:
-        """The BSDF, and the emission as keywords of a shape."""
-        if index is None:
-            self.file.notes.append(f"{self.file.path}: meshes without a material are made grey and diffuse")
-            return self.made.setdefault(None, (Diffuse(), {}))
-        entry = self.file.item("materials", index)
-        if index not in self.made:
-            self.made[index] = self._make(entry, self.names[index])
-        return self.made[index]
-
-    def _make(self, entry: dict[str, Any], name: str) -> tuple[Bsdf, dict[str, Any]]:
-        file, where = self.file, f"material {name!r}"
-        pbr = file.entry(entry, "pbrMetallicRoughness")
-        colour = file.numbers(pbr, "baseColorFactor", [1.0, 1.0, 1.0, 1.0], where)[:3]
-        metallic = float(file.numbers(pbr, "metallicFactor", 1.0, where))
-        rough = float(file.numbers(pbr, "roughnessFactor", 1.0, where))
-        painted = self._mean(pbr.get("baseColorTexture"))
-        colour = colour if painted is None else colour * painted
-        bsdf: Bsdf = Diffuse(colour, id=name)
-        if metallic >= 0.5:
-            bsdf = Conductor(alpha=rough * rough, eta=0.0, k=1.0, specular_reflectance=colour, id=name)  # B.3.2: α
-        look: dict[str, Any] = {}
-        emissive = file.entry(file.entry(entry, "extensions"), "KHR_materials_emissive_strength")
-        strength = float(file.numbers(emissive, "emissiveStrength", 1.0, where))
-        emission = strength * file.numbers(entry, "emissiveFactor", [0.0, 0.0, 0.0], where)
-        if emission.any():
-            look = {"emission": emission, "emission_id": f"{name}.emitter"}
-            if entry.get("doubleSided") is True:
-                file.notes.append(f"{file.path}: {where} emits on its front side only")
-        if entry.get("alphaMode", "OPAQUE") != "OPAQUE":
-            file.notes.append(f"{file.path}: {where} is taken as opaque (alphaMode {str(entry['alphaMode'])[:20]})")
-        textures = [f"{k} {self._image(v)}" for k, v in [*pbr.items(), *entry.items()] if k.endswith("Texture")]
-        if textures:
-            textures = ", ".join(textures)
-            how = "the factors alone are used" if painted is None else "the mean of the base colour is used"
-            file.notes.append(f"{file.path}: {where}: textures are not mapped, {how} ({textures})")
-        return TwoSided(bsdf) if entry.get("doubleSided") is True else bsdf, look
-
-    def _mean(self, info: Any) -> np.ndarray | None:
-        """Mean colour of a texture, None if there is none that can be read."""
-        try:
-            image = self.file.item("images", self.file.item("textures", info["index"])["source"])
-            if "bufferView" in image:
-                view = self.file.item("bufferViews", image["bufferView"])
-                start = view.get("byteOffset", 0)
-                return mean_colour(self.file.buffer(view["buffer"])[start : start + view["byteLength"]])
-            uri = image["uri"]
-            if uri.startswith("data:"):
-                return mean_colour(base64.b64decode(uri.partition(",")[2]))
-            return mean_colour((Path(self.file.path).parent / unquote(uri)).read_bytes())
-        except (KeyError, TypeError, ValueError, OSError, AttributeError):
-            return None
-
-    def _image(self, info: Any) -> str:
-        """A name for a texture; whatever is wrong with it does not matter yet."""
-        try:
-            texture = self.file.item("textures", info["index"])
-            image = self.file.item("images", texture["source"])
-            uri = str(image.get("uri", "without a name"))
-            return repr(self.file.name(image, "embedded" if uri.startswith("data:") else uri))
-        except (KeyError, TypeError, SceneError):
-            return "without a name"
+def _lamp(file: _File, entry: dict[str, Any], name: str, to_world: np.ndarray) -> Lamp:
+    """A light of KHR_lights_punctual, which shines along −z. Candela and lux are taken as W/sr and W/m², as nits are
+    as radiance."""
+    table = file.table(file.entry(file.entry(file.json, "extensions"), "KHR_lights_punctual"), "lights")
+    index = file.integer(entry, "light", where=f"{name}.")
+    if index >= len(table) or not isinstance(table[index], dict):
+        file.fail(f"there is no light {index} among {len(table)}; export it again")
+    light, where = table[index], f"light {index}"
+    bright = file.numbers(light, "color", [1.0, 1.0, 1.0], where) * file.numbers(light, "intensity", 1.0, where)
+    along, position, kind = -to_world[:3, 2], to_world[:3, 3], light.get("type")
+    if kind == "directional":
+        return Directional(along, bright, id=name)
+    if kind == "point":
+        return Point(position, bright, id=name)
+    if kind != "spot":
+        file.fail(f"{where} is of type {str(kind)[:20]!r}, not directional, point or spot; export it again")
+    cone = file.entry(light, "spot")
+    inner, outer = (
+        math.degrees(float(file.numbers(cone, key, default, where)))
+        for key, default in (("innerConeAngle", 0.0), ("outerConeAngle", math.pi / 4))
+    )
+    return Spot(position, bright, direction=along, cutoff_angle=outer, beam_width=inner, id=name)
 
 
 def _sensor(file: _File, index: int, name: str, to_world: np.ndarray) -> Sensor:

@@ -103,12 +103,3 @@ def _radiance_hdr(path: str | Path, data: bytes) -> np.ndarray:
             at += 4 * width
     scale = np.ldexp(1.0, rgbe[..., 3:].astype(int) - 136)
     return (np.where(rgbe[..., 3:] > 0, rgbe[..., :3] + 0.5, 0.0) * scale).astype(np.float32)
-
-
-def mean_colour(data: bytes) -> np.ndarray | None:
-    """Mean linear RGB of a picture coded in sRGB; None where it cannot be read."""
-    try:
-        x = decoded(data)
-    except ValueError:
-        return None
-    return np.broadcast_to(x, (*x.shape[:2], 3))[..., :3].mean((0, 1)) if x.shape[2] == 1 else x[..., :3].mean((0, 1))

@@ -2,10 +2,12 @@
 
 import base64
 import copy
+import io
 import json
 import struct
 
 import numpy as np
+import PIL.Image
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -222,12 +224,78 @@ def test_cameras(tmp_path):
     assert ortho.far == 100
 
 
+def picture(values, mode):
+    """A picture as the data of a URI."""
+    file = io.BytesIO()
+    PIL.Image.fromarray(np.asarray(values, np.uint8), mode).save(file, "PNG")
+    return "data:image/png;base64," + base64.b64encode(file.getvalue()).decode()
+
+
+def test_textures(tmp_path):
+    """Base colour and its alpha, emission and normals, as the sampler and a transform lay them; by their mean without
+    coordinates."""
+    red = [[[255, 0, 0, 255], [128, 128, 128, 10]]]
+    doc = document(
+        images=[{"uri": picture(red, "RGBA")}, {"uri": picture([[[0, 255, 0]], [[255, 255, 255]]], "RGB")}],
+        samplers=[{"wrapS": 33071, "magFilter": 9728}],
+        textures=[{"source": 0, "sampler": 0}, {"source": 1}],
+    )
+    paint = doc["materials"][0]
+    paint["pbrMetallicRoughness"] |= {"baseColorTexture": {"index": 0}, "baseColorFactor": [0.5, 1, 1, 1]}
+    moved = {"offset": [0.1, 0.2], "scale": [2, 3], "rotation": np.pi / 2}
+    paint |= {
+        "alphaMode": "MASK", "emissiveTexture": {"index": 1, "extensions": {"KHR_texture_transform": moved}},
+        "emissiveFactor": [1, 2, 3], "normalTexture": {"index": 1},
+    }  # fmt: skip
+    (shape,) = load_gltf(glb(tmp_path / "a.glb", doc)).shapes
+    mask, turned, colour = shape.bsdf, shape.bsdf.bsdf, shape.bsdf.bsdf.bsdf.reflectance
+    assert (colour.filter, colour.wrap) == ("nearest", "clamp")
+    grey = ((128 / 255 + 0.055) / 1.055) ** 2.4
+    np.testing.assert_allclose(colour.data, [[[0.5, 0, 0], [0.5 * grey, grey, grey]]], rtol=1e-5)
+    np.testing.assert_array_equal(mask.opacity.data[..., 0], [[1, 0]])
+    np.testing.assert_allclose(turned.normalmap.data[0, 0] * 2 - 1, np.array([-1, 1, -1]) / np.sqrt(3), atol=1e-6)
+    assert not turned.shadowed
+    np.testing.assert_allclose(shape.emission.data, [[[0, 2, 0]], [[1, 2, 3]]], atol=1e-6)
+    assert (shape.emission.filter, shape.emission.wrap) == ("bilinear", "repeat")
+    np.testing.assert_allclose(shape.emission.to_uv @ [1, 0, 1], [0.1, 0.2 - 2], atol=1e-12)
+    del doc["meshes"][0]["primitives"][0]["attributes"]["TEXCOORD_0"]
+    scene = load_gltf(glb(tmp_path / "b.glb", doc))
+    mean = [0.25 + 0.25 * grey, grey / 2, grey / 2]
+    np.testing.assert_allclose(scene.shapes[0].bsdf.reflectance, mean, rtol=1e-5)
+    np.testing.assert_allclose(scene.shapes[0].emission, [0.5, 2, 1.5], rtol=1e-5)
+    assert "normalTexture" in scene.notes[0]
+
+
+def test_lights(tmp_path):
+    lights = [
+        {"type": "directional", "color": [1, 0.5, 0], "intensity": 4},
+        {"type": "point", "intensity": 2},
+        {"type": "spot", "spot": {"innerConeAngle": 0.1, "outerConeAngle": 0.5}},
+    ]
+    turn = [0, np.sin(np.pi / 4), 0, np.cos(np.pi / 4)]  # −z becomes −x
+    node = lambda k: {"translation": [1, 2, 3], "rotation": turn, "extensions": {"KHR_lights_punctual": {"light": k}}}
+    nodes = [{"mesh": 0, "children": [1, 2, 3]}, *map(node, range(3))]
+    scene = load(tmp_path, nodes=nodes, extensions={"KHR_lights_punctual": {"lights": lights}})
+    sun, point, spot = scene.lamps
+    np.testing.assert_allclose(sun.direction, [-1, 0, 0], atol=1e-12)
+    np.testing.assert_allclose(sun.irradiance, [4, 2, 0])
+    np.testing.assert_allclose(point.position, [1, 2, 3])
+    np.testing.assert_allclose(point.intensity, [2, 2, 2])
+    np.testing.assert_allclose((spot.cutoff_angle, spot.beam_width), np.degrees([0.5, 0.1]))
+    for wrong, says in (({"light": 3}, "no light 3"), ({"light": 0}, "is of type 'sky'")):
+        lights[0]["type"] = "sky"
+        nodes[1]["extensions"]["KHR_lights_punctual"] = wrong
+        with pytest.raises(SceneError, match=says):
+            load(tmp_path, nodes=nodes, extensions={"KHR_lights_punctual": {"lights": lights}})
+
+
 def test_what_is_left_out_is_named(tmp_path):
     doc = document(
         textures=[{"source": 0}],
         images=[{"uri": "wood.png"}],
         extensionsUsed=["KHR_lights_punctual", "KHR_materials_clearcoat"],
         extensionsRequired=["KHR_lights_punctual"],
+        extensions={"KHR_lights_punctual": {"lights": [{"type": "directional"}]}},
         nodes=[
             {"mesh": 0, "children": [1, 2]},
             {"name": "sun", "extensions": {"KHR_lights_punctual": {"light": 0}}},
@@ -242,8 +310,8 @@ def test_what_is_left_out_is_named(tmp_path):
     assert len(scene.shapes) == 1
     notes = "\n".join(scene.notes)
     for words in (
-        "normalTexture 'wood.png'", "occlusionTexture without a name", "KHR_lights_punctual", "sun",
-        "KHR_materials_clearcoat", "gone", "opaque", "animations", "skins", "morph targets",
+        "normalTexture 'wood.png'", "occlusionTexture without a name",
+        "KHR_materials_clearcoat", "gone", "animations", "skins", "morph targets",
     ):  # fmt: skip
         assert words in notes
     assert all(note.startswith(str(tmp_path)) and "\n" not in note for note in scene.notes)

@@ -675,7 +675,10 @@ def test_principled_surfaces(load):
             '<bsdf type="roughplastic"><float name="alpha_u" value=".1"/><float name="alpha_v" value=".2"/></bsdf>',
             "is one",
         ),
-        ('<bsdf type="twosided"><bsdf type="diffuse"/><bsdf type="diffuse"/><bsdf type="diffuse"/></bsdf>', "has 3 BSDFs inside"),
+        (
+            '<bsdf type="twosided"><bsdf type="diffuse"/><bsdf type="diffuse"/><bsdf type="diffuse"/></bsdf>',
+            "has 3 BSDFs inside",
+        ),
         ('<bsdf type="twosided"><bsdf type="null"/></bsdf>', "holds what transmits"),
         ('<bsdf type="hair"/>', "is not supported"),
         (
