@@ -122,10 +122,11 @@ def build(
     if not shapes:
         raise SceneError(f"{source or 'scene'}: has no shapes; add at least one")
     enclosure, integrator = enclosure or Enclosure(), integrator or Integrator()
-    keys = ["irradiance" if isinstance(lamp, Directional) else "intensity" for lamp in lamps]
+    keys = ["irradiance" if hasattr(lamp, "irradiance") else "intensity" for lamp in lamps]
     bright = [getattr(lamp, key) for lamp, key in zip(lamps, keys, strict=True)]
+    means = [v.mean() if isinstance(v, Texture) else v for v in bright]
     around = enclosure.radiance.mean() if isinstance(enclosure.radiance, Texture) else enclosure.radiance
-    longest = max([around.size] + [v.size for s in shapes for v in _spectra(s)] + [v.size for v in bright])
+    longest = max([around.size] + [v.size for s in shapes for v in _spectra(s)] + [v.size for v in means])
     c = longest if channels is None else channels
     names = Names()
     ids = [names.part(s.id or type(s).__name__.lower()) for s in shapes]
@@ -185,10 +186,14 @@ def build(
     lamp_radiance = []
     for k, (lamp, key, value) in enumerate(zip(lamps, keys, bright, strict=True)):
         name = names.part(lamp.id or type(lamp).__name__.lower())
-        names.add(f"{name}.{key}", "radiance", len(radiance))
+        number = 0
+        if isinstance(value, Texture):
+            number, value = textures.number(value, f"{name}.{key}", shapes[0], 0, False)
+        else:
+            names.add(f"{name}.{key}", "radiance", len(radiance))
         lamp_radiance.append(len(radiance))
         radiance.append(spread(value, c, f"{name}.{key}"))
-        radiance_map.append(0)
+        radiance_map.append(number)
         if isinstance(lamp, Point):
             names.add(f"{name}.position", "lamps", k, (0, 3))
         if isinstance(lamp, (Spot, Directional)):
@@ -262,7 +267,7 @@ def build(
         groups=i(np.array(groups, int).reshape(-1, 2), bucket(len(groups)), (sum(blocks), 0)),
         lights=i(lights, bucket(len(lights)), -1),
         around_to_world=f([enclosure.to_world], (4, 4), 1),
-        lamps=f([lamp.row() for lamp in lamps] or np.zeros((0, 9)), (9,), bucket(len(lamps))),
+        lamps=f([lamp.row() for lamp in lamps] or np.zeros((0, 12)), (12,), bucket(len(lamps))),
         lamp_radiance=i(lamp_radiance, bucket(len(lamps))),
         sensor_to_world=f(views.to_world, (4, 4), len(views.to_world)),
         lens=f(views.lens, (5,), len(views.lens)),

@@ -211,6 +211,7 @@ def _power(lamps: Any, intensity: Any, radius: Any) -> Any:
     kind, cutoff = lamps[:, 8], lamps[:, 6]
     cap = 2.0 * (1.0 - jnp.cos(cutoff))
     share = jnp.where(kind == LAMPS.index("point"), 4.0, jnp.where(kind == LAMPS.index("spot"), cap, radius * radius))
+    share = jnp.where(kind == LAMPS.index("projector"), 4.0 / np.pi * lamps[:, 6] * lamps[:, 7], share)
     return intensity * share
 
 
@@ -276,10 +277,10 @@ def prepare(scene: Scene, plan: Plan) -> World:
     light_rows = joined(geometry[face], rows[face, :3], density[face][:, None], of_face, lit, face[:, None])
     if plan.textured_lights:
         light_rows = joined(light_rows, scene.radiance_map[scene.finishes[scene.shape_finish[shape], 1]][:, None])
-    if plan.lamp_kinds:  # position, direction, cutoff, beam, kind; then as for faces
-        none, bright = jnp.zeros((len(lamps), 4)), intensity[:, : plan.channels]
-        more = [0 * of_lamp] if plan.textured_lights else []
-        light_rows = jnp.concatenate([light_rows, joined(lamps, none, of_lamp, bright, 0 * of_lamp - 2, *more)])
+    if plan.lamp_kinds:  # position, direction, cutoff, beam, kind, up; then as for faces
+        bright = intensity[:, : plan.channels]
+        more = [scene.radiance_map[of_table][:, None]] if plan.textured_lights else []
+        light_rows = jnp.concatenate([light_rows, joined(lamps, 0 * of_lamp, of_lamp, bright, 0 * of_lamp - 2, *more)])
     if plan.environment:  # like a face, of number −1
         row = jnp.zeros((1, light_rows.shape[1])).at[0, 13].set(chance[-1]).at[0, 14 + plan.channels].set(-1.0)
         light_rows = joined(jnp.concatenate([light_rows, row.astype(side.dtype)]))

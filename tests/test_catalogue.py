@@ -259,3 +259,11 @@ def test_environment_maps(lamps, tmp_path, pictures):
     if lamps == "alone":
         text = text.replace('<emitter type="area"><rgb name="radiance" value="9,8,7"/></emitter>', "")
     check(tmp_path, text)
+
+
+def test_projectors(tmp_path, pictures):
+    emitter = f"""<emitter type="projector"><float name="scale" value="3"/><float name="fov" value="35"/>
+    {bitmap("irradiance", "colours.png")}<transform name="to_world"><lookat origin="-1,-2,4" target=".5,0,0" up="0,0,1"/>
+    </transform></emitter>"""
+    shape = two('<bsdf type="diffuse"/>', '<bsdf type="diffuse"/>')
+    check(tmp_path, SCENE.format(depth=2, emitter=emitter + LAMPS["spot"], shape=shape))

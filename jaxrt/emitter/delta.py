@@ -7,8 +7,9 @@ from typing import Any
 import jax.numpy as jnp
 
 from ..parts import LAMPS
-from ..surface import _vec
-from ..vector import Spectrum, Vec3, dot, normalise, safe_sqrt
+from ..surface import _vec, textured
+from ..texture import Place
+from ..vector import Spectrum, Vec3, cross, dot, normalise, safe_sqrt, where
 from ..world import World
 
 ALONE = 1e30
@@ -34,9 +35,31 @@ def sample(world: World, x: Vec3, row: Any) -> tuple[Vec3, Any, Spectrum, Any, A
         far = kind == LAMPS.index("directional")
         w = Vec3(*(jnp.where(far, -a, b) for a, b in zip(axis, w, strict=True)))
         distance, seen = jnp.where(far, 4.0 * world.radius + 1.0, distance), jnp.where(far, 1.0, seen)
-    radiance = Spectrum(tuple(row[14 + c] * seen for c in range(plan.channels)))
+    radiance = Spectrum(tuple(row[14 + c] for c in range(plan.channels)))
+    if "projector" in plan.lamp_kinds:
+        light, inside = _projected(world, row, axis, -to)
+        here = kind == LAMPS.index("projector")
+        radiance = where(here, light, radiance)
+        seen = jnp.where(here, inside, seen)
+    radiance = radiance * seen
     chance = row[13]
     return w, distance, radiance, chance, jnp.where(chance > 0, ALONE, 0.0)
+
+
+def _projected(world: World, row: Any, axis: Vec3, to: Vec3) -> tuple[Spectrum, Any]:
+    """A picture's irradiance towards a point that lies `to` away from its lamp, and what it makes there: 1/(z² cosθ) of
+    that, within the picture."""
+    up = _vec(row, 9)
+    z, across = dot(to, axis), Vec3(dot(to, cross(up, axis)), dot(to, up), 0.0)
+    before = z > 0
+    depth = jnp.where(before, z, 1.0)
+    x, y = across.x / (depth * row[6]), across.y / (depth * row[7])
+    uv = 0.5 - 0.5 * x, 0.5 - 0.5 * y
+    inside = before & (jnp.abs(x) <= 1) & (jnp.abs(y) <= 1)
+    place = Place(uv, jnp.zeros_like(z, jnp.int32), uv)
+    dark = Spectrum.full(world.plan.channels, 0.0 * z)
+    light = textured(world, row[15 + world.plan.channels], place, dark)
+    return light, jnp.where(inside, safe_sqrt(dot(to, to)) / (depth * depth * depth), 0.0)
 
 
 __all__ = ["ALONE", "sample"]

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any
 
 import numpy as np
 
 from .. import parts
+from ..sensor.camera import half_width
 from .mitsuba_context import Context
 from .mitsuba_materials import SAMPLING, color
+from .mitsuba_sensors import field_of_view
 from .mitsuba_xml import Element
 from .textures import read_picture
 
@@ -50,10 +53,25 @@ def _directional(ctx: Context, element: Element) -> dict[str, Any]:
     return {"direction": np.asarray(direction, float), "irradiance": irradiance}
 
 
+def _projector(ctx: Context, element: Element) -> dict[str, Any]:
+    picture = color(ctx, element, "irradiance", 1.0, "radiance")
+    if not isinstance(picture, parts.Bitmap):
+        element.fail("has no picture; give it a bitmap as irradiance")
+    picture = dataclasses.replace(
+        picture, data=picture.data * (np.pi * ctx.number(element, "scale", 1.0))
+    )  # as Mitsuba
+    height, width = picture.data.shape[:2]
+    view = field_of_view(ctx, element)
+    half = float(half_width(view["fov_axis"], view["fov"], width / height))
+    fov = float(np.degrees(2 * np.arctan(half)))
+    return {"irradiance": picture, "to_world": ctx.transform(element), "fov": fov}
+
+
 LAMPS: dict[str, tuple[Any, Any]] = {
     "point": (parts.Point, _point),
     "spot": (parts.Spot, _spot),
     "directional": (parts.Directional, _directional),
+    "projector": (parts.Projector, _projector),
 }
 
 

@@ -50,7 +50,7 @@ def _camera(ctx: Context, element: Element) -> dict[str, Any]:
     fields: dict[str, Any] = {"to_world": to_world, "far": ctx.number(element, "far_clip", 1e4)}
     if element.plugin != "orthographic":
         _unscaled(element, to_world)
-        fields |= _field_of_view(ctx, element)
+        fields |= field_of_view(ctx, element)
     focus = ctx.number(element, "focus_distance", fields["far"])
     if element.plugin == "thinlens":
         fields |= {"aperture_radius": ctx.number(element, "aperture_radius"), "focus_distance": focus}
@@ -127,7 +127,7 @@ def _members(ctx: Context, element: Element, name: str) -> list[parts.Sensor]:
     return made
 
 
-def _field_of_view(ctx: Context, element: Element) -> dict[str, Any]:
+def field_of_view(ctx: Context, element: Element) -> dict[str, Any]:
     if "fov" in element.values:
         if "focal_length" in element.values:
             element.fail("has fov and also focal_length; give only one")

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 
 from .checks import LARGEST, SceneError, check, matrix, scalar, spectrum, unit, varying
 from .composites import Blend, BumpMap, Mask, NormalMap
-from .lamps import LAMPS, Directional, Enclosure, Lamp, Point, Spot
+from .lamps import LAMPS, Directional, Enclosure, Lamp, Point, Projector, Spot
 from .principled import Principled, PrincipledThin
 from .reflectances import Bsdf, Conductor, Dielectric, Diffuse, Null, Plastic, Row, TwoSided
 from .sensors import Film, Sensor
@@ -79,6 +79,7 @@ __all__ = [
     "Point",
     "Principled",
     "PrincipledThin",
+    "Projector",
     "Rectangle",
     "Row",
     "SceneError",

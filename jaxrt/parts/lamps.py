@@ -10,7 +10,7 @@ import numpy as np
 from .checks import LARGEST, SceneError, check, matrix, scalar, spectrum, unit, varying
 from .textures import Bitmap, Texture
 
-LAMPS = ("point", "spot", "directional")
+LAMPS = ("point", "spot", "directional", "projector")
 """Kinds of lamps without extent, in the order of their numbers in tables."""
 
 
@@ -30,7 +30,7 @@ class Point:
         self.intensity = spectrum(self.intensity, f"{name}.intensity")
 
     def row(self) -> np.ndarray:
-        return np.array([*self.position, 0, 0, 1, 0, 0, LAMPS.index("point")], float)
+        return np.array([*self.position, 0, 0, 1, 0, 0, LAMPS.index("point"), 0, 0, 0], float)
 
 
 @dataclasses.dataclass
@@ -52,7 +52,7 @@ class Spot(Point):
 
     def row(self) -> np.ndarray:
         cutoff, beam = np.radians(self.cutoff_angle), np.radians(self.beam_width or 0.0)
-        return np.array([*self.position, *self.direction, cutoff, beam, LAMPS.index("spot")], float)
+        return np.array([*self.position, *self.direction, cutoff, beam, LAMPS.index("spot"), 0, 0, 0], float)
 
 
 @dataclasses.dataclass
@@ -69,10 +69,36 @@ class Directional:
         self.irradiance = spectrum(self.irradiance, f"{name}.irradiance")
 
     def row(self) -> np.ndarray:
-        return np.array([0, 0, 0, *self.direction, 0, 0, LAMPS.index("directional")], float)
+        return np.array([0, 0, 0, *self.direction, 0, 0, LAMPS.index("directional"), 0, 0, 0], float)
 
 
-Lamp = Point | Spot | Directional
+@dataclasses.dataclass
+class Projector:
+    """A picture thrown from a point, as a camera there sees it: `irradiance` (W·m⁻²) on a plane across its axis, +z of
+    its own space, at distance 1; `fov`: degrees along the picture's width, +y up, +x left."""
+
+    irradiance: Any
+    to_world: Any = dataclasses.field(default_factory=lambda: np.eye(4))
+    fov: float = 50.0
+    id: str = ""
+
+    def __post_init__(self):
+        name = self.id or "projector"
+        self.to_world = matrix(self.to_world, f"{name}.to_world")
+        self.fov = scalar(self.fov, f"{name}.fov")
+        check(0 < self.fov < 180, f"{name}.fov", f"is {self.fov:g}; give an angle between 0 and 180 degrees")
+        self.irradiance = varying(self.irradiance, f"{name}.irradiance")
+        if not isinstance(self.irradiance, Bitmap):
+            raise SceneError(f"{name}.irradiance: is no Bitmap; give one")
+
+    def row(self) -> np.ndarray:
+        m, (height, width) = self.to_world, self.irradiance.data.shape[:2]
+        half, number = np.tan(np.radians(self.fov / 2)), LAMPS.index("projector")
+        axis, up = (m[:3, k] / np.linalg.norm(m[:3, k]) for k in (2, 1))
+        return np.array([*m[:3, 3], *axis, half, half * height / width, number, *up], float)
+
+
+Lamp = Point | Spot | Directional | Projector
 
 
 @dataclasses.dataclass

@@ -223,3 +223,11 @@ def test_xml_gets_its_defaults_and_a_view_but_no_light(tmp_path, monkeypatch):
     assert len(scene.sensors) == 1
     assert scene.enclosure is None
     assert "black" in scene.notes[-1]
+
+
+def test_lamps_without_extent_are_light():
+    shapes = [parts.Rectangle()]
+    for lamp, dark in ((parts.Point(), False), (parts.Directional(), False), (parts.Point(intensity=0.0), True)):
+        found = view.complete(Description(shapes, lamps=[lamp]), light=True)
+        assert any("no light" in note for note in found.notes) == dark
+        assert list(found.lamps) == [lamp]
