@@ -15,7 +15,7 @@ from ..compiler import program
 from ..files.image import AOVS
 from ..parts import SceneError
 from ..sampling.sobol import Drawn
-from ..surface import SurfacePoint, shading_at
+from ..surface import SurfacePoint, choice, shading_at
 from ..vector import Vec3
 from ..world import World
 from .begin import Picture
@@ -43,7 +43,8 @@ def aovs(world: World, view: Picture, key: Any, spp: int, names: tuple[str, ...]
     """By name, what the first surface is that pixels see: (H, W), or (H, W, k), 0 where there is none.
 
     depth: distance along the ray from where it begins, on the near plane (m); normal: that of shading; albedo:
-    reflectance, of what is diffuse if the material has both; uv: coordinates on the face; position (m); each the mean
+    reflectance, of what is diffuse if the material has both; uv: of textures, or on the face if the scene has none;
+    position (m); each the mean
     over the first samples of the pixel. face: number of the one at the pixel's centre, −1 for none.
     """
     if not names:
@@ -63,8 +64,9 @@ def _of_pixels(world: World, view: Picture, numbers: Any, seed: Any, count: Any,
 
     def one(number: Any) -> Any:
         def look(i: Any) -> Any:
-            path = view(world, number, sample_stream(seed, number, i))
-            return _seen(world, cast(world, path.o, path.d), path.d, averaged)
+            s = sample_stream(seed, number, i)
+            path = view(world, number, s)
+            return _seen(world, cast(world, path.o, path.d), path.d, choice(world, s), averaged)
 
         zero = jax.tree.map(lambda a: jnp.zeros(a.shape, a.dtype), jax.eval_shape(look, jnp.int32(0)))
         add = lambda i, total: jax.tree.map(jnp.add, total, look(i))
@@ -78,11 +80,12 @@ def _of_pixels(world: World, view: Picture, numbers: Any, seed: Any, count: Any,
     return jax.vmap(one)(numbers)
 
 
-def _seen(world: World, x: SurfacePoint, d: Vec3, names: list[str]) -> dict[str, Any]:
+def _seen(world: World, x: SurfacePoint, d: Vec3, u: Any, names: list[str]) -> dict[str, Any]:
     values: dict[str, Any] = {}
     if "albedo" in names:
-        albedo = shading_at(world, x, -d).material.reflectance
+        albedo = shading_at(world, x, -d, u).material.reflectance
         black = jnp.zeros((world.plan.out_channels,), world.faces.dtype)
         values["albedo"] = black if albedo is None else black + albedo.array()
-    values |= {"depth": x.distance, "normal": x.shading.array(), "position": x.position.array(), "uv": jnp.stack(x.uv)}
+    uv = jnp.stack(x.uv if x.place is None else x.place.uv)
+    values |= {"depth": x.distance, "normal": x.shading.array(), "position": x.position.array(), "uv": uv}
     return {name: jnp.where(x.face >= 0, values[name], 0.0) for name in names}

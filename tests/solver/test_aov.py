@@ -98,3 +98,17 @@ def test_the_command_line(tmp_path, monkeypatch, capsys):
     assert not out.exists()
     assert cli.main([*run, "depth,normal"]) == 0
     assert read_exr(out)[0].shape == (4, 4, 3)
+
+
+def test_albedo_and_coordinates_of_textures(short_loops):
+    """Of a picture on a square, and of a mixture with white by a quarter."""
+    data = np.random.default_rng(0).uniform(0.2, 0.8, (2, 2, 3))
+    bsdf = jaxrt.Blend(jaxrt.Diffuse(jaxrt.Bitmap(data, filter="nearest")), jaxrt.Diffuse(1.0), weight=0.25)
+    view = camera((0, 0, 9), (0, 0, 0), 2, 2, fov=10.0, up=(0, 1, 0))
+    scene = jaxrt.Scene.build([jaxrt.Rectangle(bsdf=bsdf)], sensors=[view], enclosure=jaxrt.Enclosure(1.0), channels=3)
+    found = jaxrt.render(scene, 16, method="path", aov=("albedo", "uv")).aovs
+    u, v = found["uv"][..., 0], found["uv"][..., 1]
+    texel = data[(v > 0.5).astype(int), (u > 0.5).astype(int)]
+    np.testing.assert_allclose(found["albedo"], 0.75 * texel + 0.25, atol=0.08)
+    assert np.ptp(u) > 0.3
+    assert np.ptp(v) > 0.3
