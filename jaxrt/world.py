@@ -40,8 +40,8 @@ class World(eqx.Module):
     face to its height and coordinates, or centre and radius of a curved one; side, finish, light density
     (1/m²); and as the plan calls for, three vertex normals, tangents, and coordinates for textures. The last
     row is the enclosure. `finishes` rows: material fields, derived ones last, radiance, and its texture's number where
-    there are such. `light_rows`: geometry, normal, density, chance, radiance, face, and again that number.
-    `light_bounds`: spheres (centre, radius) that hold all lights, m.
+    there are such; and, where some refer to others, rows of all materials. `light_rows`: geometry, normal, density,
+    chance, radiance, face, and again that number. `light_bounds`: spheres (centre, radius) that hold all lights, m.
     """
 
     geometry: Float[Array, "P 9"]
