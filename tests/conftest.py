@@ -1,12 +1,15 @@
 """What every test shares: strict rank promotion, keys, and no deadlines for programs that compile on first use."""
 
+import gc
 import itertools
-from collections.abc import Callable
+import pathlib
+from collections.abc import Callable, Iterator
 
 import hypothesis
 import jax
 import pytest
 
+from jaxrt import compiler
 from jaxrt.intersect import dense
 
 jax.config.update("jax_numpy_rank_promotion", "raise")
@@ -27,6 +30,21 @@ def getkey() -> Callable[[], jax.Array]:
 def short_loops(monkeypatch: pytest.MonkeyPatch) -> None:
     """Searches of one face at a time: programs compile twice as fast. For tests that are not about the search."""
     monkeypatch.setattr(dense, "UNROLL", 1)
+
+
+MAPPINGS = 25000
+"""Of memory, that a process may have after a file of tests; Linux gives it 65530, and XLA ends without a word there."""
+
+
+@pytest.fixture(autouse=True, scope="module")
+def room_for_programs() -> Iterator[None]:
+    """Compiled programs are let go where those of the tests before have taken much of what a process may map."""
+    yield
+    mapped = pathlib.Path("/proc/self/maps")
+    if mapped.exists() and mapped.read_bytes().count(b"\n") > MAPPINGS:
+        compiler._programs.clear()
+        jax.clear_caches()
+        gc.collect()
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
