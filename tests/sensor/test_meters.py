@@ -85,6 +85,7 @@ def under_a_ball(kind="irradiancemeter"):
     return build([plate, ball], meter(kind, target=plate), 0.0)
 
 
+@pytest.mark.slow
 def test_light_is_sampled_and_differentiated():
     """A ball of radius r at height h over the meter: E = π L r²/h², whatever the integrator hides."""
     scene = under_a_ball()

@@ -569,6 +569,7 @@ def test_a_meter_sums_what_its_rays_see():
     assert abs(mean - direct) < 4 * np.hypot(error, direct_error)
 
 
+@pytest.mark.slow
 def test_the_last_ray_is_cast_only_where_a_lamp_may_be(short_loops):
     """The picture is the same without an enclosure and with a black one, in which every last ray is cast."""
     turned = lambda *at: moved(0.2, at, frame([0.2, 0.3, -1.0], [1, 0, 0]))
