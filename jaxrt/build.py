@@ -9,9 +9,10 @@ from typing import Any
 import jax
 import numpy as np
 
+from .brdf import SPECTRA
 from .coordinates import NONE
 from .effects import plan
-from .pack import Materials, Names, Textures, spectra, spread
+from .pack import Materials, Names, Textures, fields_of, spread
 from .parts import (
     Cube,
     Cylinder,
@@ -294,6 +295,6 @@ _LOCAL = {
 
 def _spectra(shape: Shape) -> list[np.ndarray]:
     """One value of each spectrum of a shape, for its number of channels."""
-    found = spectra(shape.bsdf)
+    found = [v for name, v in fields_of(shape.bsdf) if name in SPECTRA]
     found += [shape.emission] if shape.emission is not None else []
     return [v.mean() if isinstance(v, Texture) else v for v in found]

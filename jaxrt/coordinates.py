@@ -13,7 +13,7 @@ import numpy as np
 
 from .scene import FACE, KINDS, Scene
 from .texture import Place
-from .vector import Vec3, cross, dot, normalise, safe_sqrt, where
+from .vector import Frame, Vec3, cross, dot, normalise, safe_sqrt, where
 
 NONE = 1e30
 """Coordinates of vertices that have none: such a face counts from its first corner."""
@@ -22,13 +22,13 @@ COLUMNS = 6
 """In a face's row. Flat: (u, v) of the first corner, along e₁, along e₂. Spheres: axes x and z; cylinders: axis y."""
 
 
-def of_corners(scene: Scene) -> tuple[Any, Any, Any]:
+def of_corners(scene: Scene) -> tuple[Any, Any]:
     """(u, v) of each triangle's first corner, and its changes along both edges; whether the mesh has any."""
     uv = scene.uvs[scene.triangles]
     given = (uv < 0.5 * NONE).all((1, 2))[:, None]
     plain = jnp.asarray([[0.0, 0], [1, 0], [0, 1]], uv.dtype)
     uv = jnp.where(given[:, None], uv, plain[None])
-    return jnp.concatenate([uv[:, 0], uv[:, 1] - uv[:, 0], uv[:, 2] - uv[:, 0]], -1), given[:, 0], uv
+    return jnp.concatenate([uv[:, 0], uv[:, 1] - uv[:, 0], uv[:, 2] - uv[:, 0]], -1), given[:, 0]
 
 
 def of_rows(scene: Scene, kind: str, m: Any, a: Any, b: Any) -> Any:
@@ -53,11 +53,8 @@ def _of_cube(scene: Scene) -> Any:
 
 
 def first_axis(d: Any) -> Any:
-    """For each axis of a cylinder (n, 3) a unit vector across it, from which its angle counts (Duff et al. 2017)."""
-    n = d / jnp.maximum(jnp.linalg.norm(d, axis=-1), 1e-30)[:, None]
-    sign = jnp.where(n[:, 2] >= 0, 1.0, -1.0)
-    a = -1.0 / (sign + n[:, 2])
-    return jnp.stack([1.0 + sign * n[:, 0] ** 2 * a, sign * n[:, 0] * n[:, 1] * a, -sign * n[:, 0]], -1)
+    """For each axis of a cylinder (n, 3) a unit vector across it, from which its angle counts."""
+    return Frame.around(normalise(Vec3.of(d))).s.array()
 
 
 def tangents(scene: Scene, kind: str, a: Any, b: Any) -> Any:
@@ -66,7 +63,7 @@ def tangents(scene: Scene, kind: str, a: Any, b: Any) -> Any:
         return jnp.concatenate([a, jnp.where(_of_cube(scene)[:, None], -b, b)], -1)
     if kind != "triangle":
         return jnp.zeros((len(a), 6), a.dtype)
-    corners, given, _ = of_corners(scene)
+    corners, given = of_corners(scene)
     d1, d2 = corners[:, 2:4], corners[:, 4:6]
     det = jnp.where(given, d1[:, 0] * d2[:, 1] - d1[:, 1] * d2[:, 0], 0.0)[:, None]
     safe = jnp.where(det != 0, det, 1.0)

@@ -17,7 +17,7 @@ from jax.lax import stop_gradient as sg
 
 from .sampling.warp import uniform_sphere
 from .texture import LAYOUT
-from .vector import Vec3, normalise, safe_sqrt, where
+from .vector import Vec3, normalise, safe_sqrt, transform_vector, where
 
 if TYPE_CHECKING:
     from .scene import Scene
@@ -61,8 +61,7 @@ class Environment(eqx.Module):
 
     def coordinates(self, w: Vec3) -> tuple[Any, Any]:
         """(u, v) of a direction of the world."""
-        m = self.to_local
-        x, y, z = normalise(Vec3(*(m[k, 0] * w.x + m[k, 1] * w.y + m[k, 2] * w.z for k in range(3))))
+        x, y, z = normalise(transform_vector(self.to_local, w))
         across = x * x + z * z
         pole = across < 1e-12
         u = jnp.arctan2(jnp.where(pole, 0.0, x), jnp.where(pole, 1.0, -z)) / (2.0 * np.pi)
@@ -78,9 +77,7 @@ class Environment(eqx.Module):
         phi, theta = 2.0 * np.pi * (column + along) / width, np.pi * (row + v) / height
         s = jnp.sin(theta)
         local = Vec3(jnp.sin(phi) * s, jnp.cos(theta), -jnp.cos(phi) * s)
-        m = self.to_world
-        turned = normalise(Vec3(*(m[k, 0] * local.x + m[k, 1] * local.y + m[k, 2] * local.z for k in range(3))))
-        w = where(even, uniform_sphere(u), turned)
+        w = where(even, uniform_sphere(u), normalise(transform_vector(self.to_world, local)))
         return w, self.pdf(w)
 
     def pdf(self, w: Vec3) -> Any:

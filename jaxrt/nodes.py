@@ -60,10 +60,8 @@ def found(world: World, x: SurfacePoint, frame: Frame, wo: Vec3, row: Any, u: An
             second = second | (is_node("sides") & behind)
         for name, turned in (("normalmap", _mapped), ("bumpmap", _bumped)):
             if name in plan.nodes:
-                here, new = (
-                    is_node(name),
-                    turned(world, x, frame, row, columns, _towards(world, frame, wo, row, columns)),
-                )
+                here, towards = is_node(name), _towards(world, frame, wo, row, columns)
+                new = turned(world, x, frame, row, columns, towards)
                 assert tilt is not None
                 tilt = where(here, new, tilt)
                 cos2 = jnp.maximum(new.n.z * new.n.z, 1e-6)

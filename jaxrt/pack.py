@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from typing import Any
 
 import numpy as np
@@ -106,7 +106,7 @@ class Materials:
             twosided, inner = True, outer if outer.back is not None else outer.bsdf
         if not hasattr(inner, "row"):
             raise SceneError(f"{shape.id or 'shape'}: {type(inner).__name__} is not a reflectance that jaxrt knows")
-        key = (id(outer), id(shape) if any(isinstance(v, MeshAttribute) for v in values(inner)) else 0, twosided)
+        key = (id(outer), id(shape) if any(isinstance(v, MeshAttribute) for _, v in fields_of(inner)) else 0, twosided)
         if key in self._index:
             return self._index[key]
         lobe, fields, parameters = inner.row()
@@ -152,21 +152,14 @@ def parts_of(bsdf: Any) -> list[Any]:
     return bsdf.parts() if hasattr(bsdf, "parts") else []
 
 
-def values(bsdf: Any) -> list[Any]:
-    """All values that a reflectance and its parts have."""
-    inner = bsdf.bsdf if isinstance(bsdf, TwoSided) and bsdf.back is None else bsdf
-    if not hasattr(inner, "row"):
-        return []
-    return [*_flat(inner.row().fields.values()), *(v for part in parts_of(inner) for v in values(part))]
-
-
-def spectra(bsdf: Any) -> list[Any]:
-    """Those that have a value a channel."""
-    inner = bsdf.bsdf if isinstance(bsdf, TwoSided) and bsdf.back is None else bsdf
-    if not hasattr(inner, "row"):
-        return []
-    own = [v for k, v in inner.row().fields.items() if k in SPECTRA]
-    return [*own, *(v for part in parts_of(inner) for v in spectra(part))]
+def fields_of(bsdf: Any) -> Iterator[tuple[str, Any]]:
+    """Names and values of all fields that a reflectance and its parts have."""
+    inner: Any = bsdf.bsdf if isinstance(bsdf, TwoSided) and bsdf.back is None else bsdf
+    if hasattr(inner, "row"):
+        for name, value in inner.row().fields.items():
+            yield from ((name, v) for v in _flat([value]))
+        for part in parts_of(inner):
+            yield from fields_of(part)
 
 
 def _flat(values: Iterable[Any]) -> Iterable[Any]:

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 from . import coordinates, nodes
 from .brdf import LOBES, Material, MaterialColumns
 from .scene import FACE, KINDS
-from .texture import Place
+from .texture import Place, _row
 from .vector import Frame, Spectrum, Vec3, cross, dot, normalise, safe_sqrt, where
 from .world import World
 
@@ -37,10 +37,6 @@ class SurfacePoint(eqx.Module):
     tangent: Vec3 | None = None
     bitangent: Vec3 | None = None
     place: Place | None = None
-
-
-def _row(table: Any, index: Any) -> Any:
-    return table.at[index].get(mode="clip", wrap_negative_indices=False)
 
 
 def _vec(row: Any, start: int) -> Vec3:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import equinox as eqx
 import jax.numpy as jnp
 
-from .parts.textures import FILTERS, TEXTURES, WRAPS, Bitmap, Checkerboard, Texture
+from .parts.textures import FILTERS, TEXTURES, WRAPS, Bitmap, Texture
 from .vector import Spectrum, where
 
 if TYPE_CHECKING:
@@ -114,13 +114,7 @@ _LOOK_UP = {"bitmap": _bitmap, "checkerboard": _checkerboard, "attribute": _attr
 
 def table_row(texture: Texture, offset: int) -> list[int]:
     """The row of a texture in the table of whole numbers; `offset`: of its first texel."""
-    kind = TEXTURES.index(
-        "bitmap"
-        if isinstance(texture, Bitmap)
-        else "checkerboard"
-        if isinstance(texture, Checkerboard)
-        else "attribute"
-    )
+    kind = TEXTURES.index(texture.kind)
     if not isinstance(texture, Bitmap):
         return [kind, offset, 1, 1, 0, 0]
     height, width = texture.data.shape[:2]

@@ -289,17 +289,17 @@ def prepare(scene: Scene, plan: Plan) -> World:
     columns = [j for f in held for j in range(*table[f])]
     if plan.channels == 1:
         columns = [j for f in held for j in range(*table[f])[: 1 if f in SPECTRA else None]]
-    materials = scene.materials[scene.finishes[:, 0]]
-    bright = radiance[scene.finishes[:, 1]][:, : plan.channels]
-    parts = [materials[:, np.array(columns)], *derive(plan.lobes, table, materials), bright]
+    materials = jnp.concatenate(
+        [scene.materials[:, np.array(columns)], *derive(plan.lobes, table, scene.materials)], -1
+    )
+    bright = [radiance[:, : plan.channels]]
     if plan.textured_lights:
-        parts.append(scene.radiance_map[scene.finishes[:, 1]][:, None].astype(radiance.dtype))
-    finishes = jnp.concatenate(parts, -1)
+        bright.append(scene.radiance_map[:, None].astype(radiance.dtype))
+    bright = jnp.concatenate(bright, -1)
+    finishes = jnp.concatenate([materials[scene.finishes[:, 0]], bright[scene.finishes[:, 1]]], -1)
     if plan.nodes:  # then rows of all materials, to which others refer
-        rest = jnp.zeros((len(scene.materials), finishes.shape[1] - len(columns)), finishes.dtype)
-        derived = derive(plan.lobes, table, scene.materials)
-        inner = jnp.concatenate([scene.materials[:, np.array(columns)], *derived, rest], -1)
-        finishes = jnp.concatenate([finishes, inner[:, : finishes.shape[1]]])
+        dark = jnp.zeros((len(materials), bright.shape[1]), finishes.dtype)
+        finishes = jnp.concatenate([finishes, jnp.concatenate([materials, dark], -1)])
     epsilon = 8 * 2.0**-23 * jnp.maximum(sg(reach), sg(radius))
     origins = jnp.concatenate([o, geometry[:, 3:]], -1)
     faces = Faces(origins, maps, scene.counts, center, epsilon, scene.blocks, instances, scene.copies)

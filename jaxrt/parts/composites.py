@@ -15,8 +15,19 @@ if TYPE_CHECKING:
     from .reflectances import Bsdf
 
 
+class Composite:
+    """A reflectance made of others, its `parts`: light may pass it where it may pass one of those."""
+
+    def parts(self) -> list[Bsdf]:
+        raise NotImplementedError
+
+    @property
+    def transmits(self) -> bool:
+        return any(transmits(part) for part in self.parts())
+
+
 @dataclasses.dataclass
-class Blend:
+class Blend(Composite):
     """Two reflectances mixed: (1 − weight) of the first and weight of the second."""
 
     first: Bsdf
@@ -27,10 +38,6 @@ class Blend:
     def __post_init__(self):
         self.weight = varying(self.weight, f"{self.id or 'blend'}.weight", most=1.0)
 
-    @property
-    def transmits(self) -> bool:
-        return any(transmits(part) for part in self.parts())
-
     def parts(self) -> list[Bsdf]:
         return [self.first, self.second]
 
@@ -39,13 +46,12 @@ class Blend:
 
 
 @dataclasses.dataclass
-class Mask:
+class Mask(Composite):
     """A surface with holes: it is there by `opacity`, and else light passes."""
 
     bsdf: Bsdf
     opacity: Any = 0.5
     id: str = ""
-    transmits = True
 
     def __post_init__(self):
         self.opacity = varying(self.opacity, f"{self.id or 'mask'}.opacity", most=1.0)
@@ -59,7 +65,7 @@ class Mask:
 
 
 @dataclasses.dataclass
-class NormalMap:
+class NormalMap(Composite):
     """Normals turned to (2 r − 1, 2 g − 1, 2 b − 1) of a picture, in the frame along ∂p/∂u. `shadowed`: what turned
     normals would let light leak into is darkened (Estevez and others 2019)."""
 
@@ -73,10 +79,6 @@ class NormalMap:
         check(isinstance(self.normalmap, Texture), name, "is no texture; give a Bitmap of normals")
         self.normalmap = varying(self.normalmap, name)
 
-    @property
-    def transmits(self) -> bool:
-        return transmits(self.bsdf)
-
     def parts(self) -> list[Bsdf]:
         return [self.bsdf]
 
@@ -86,7 +88,7 @@ class NormalMap:
 
 
 @dataclasses.dataclass
-class BumpMap:
+class BumpMap(Composite):
     """Normals turned as those of a surface that stands out by `scale` times a picture's luminance (m)."""
 
     bsdf: Bsdf
@@ -100,10 +102,6 @@ class BumpMap:
         check(isinstance(self.texture, Bitmap), name, "is no Bitmap, whose slope could be taken; give one")
         self.texture = varying(self.texture, name)
         self.scale = scalar(self.scale, f"{self.id or 'bumpmap'}.scale")
-
-    @property
-    def transmits(self) -> bool:
-        return transmits(self.bsdf)
 
     def parts(self) -> list[Bsdf]:
         return [self.bsdf]
@@ -123,6 +121,3 @@ def _one(value: Any, element: str) -> Any:
         check(np.size(value) == 1, element, "is one number")
         return float(np.ravel(value)[0])
     return value
-
-
-Composite = Blend | Mask | NormalMap | BumpMap

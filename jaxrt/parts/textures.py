@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 
@@ -32,6 +32,7 @@ def _placed(value: Any, element: str) -> np.ndarray:
 class Texture:
     """What all textures share: `to_uv`, a (2, 3) matrix, takes a surface's coordinates (u, v, 1) to the texture's."""
 
+    kind: ClassVar[str]
     to_uv: Any = dataclasses.field(default_factory=lambda: np.eye(3)[:2], kw_only=True)
     id: str = dataclasses.field(default="", kw_only=True)
 
@@ -55,6 +56,7 @@ class Texture:
 class Bitmap(Texture):
     """A picture: `data` (H, W) or (H, W, C), linear, its first row at v = 0."""
 
+    kind = "bitmap"
     data: Any
     filter: Literal["nearest", "bilinear"] = "bilinear"
     wrap: Literal["repeat", "mirror", "clamp"] = "repeat"
@@ -78,6 +80,7 @@ class Bitmap(Texture):
 class Checkerboard(Texture):
     """Squares of two colours, two by two to a unit of u and v."""
 
+    kind = "checkerboard"
     color0: Any = 0.4
     color1: Any = 0.2
 
@@ -94,6 +97,7 @@ class Checkerboard(Texture):
 class MeshAttribute(Texture):
     """Values that a mesh has at its vertices or faces: `Mesh.attributes[name]`, times `scale`."""
 
+    kind = "attribute"
     name: str
     scale: float = 1.0
 
@@ -108,8 +112,7 @@ class MeshAttribute(Texture):
             raise SceneError(f"{element}: has no attribute {self.name!r}, which its texture asks for{there}")
         a = np.asarray(found, np.float64)
         a = a[:, None] if a.ndim == 1 else a
-        each = {vertices: a[faces.reshape(-1)] if len(a) == vertices else None, len(faces): np.repeat(a, 3, 0)}
         per_face = self.name.startswith("face_") or (len(a) != vertices)
         want = len(faces) if per_face else vertices
         check(len(a) == want, f"{element}.{self.name}", f"has {len(a)} values; give one a face or vertex")
-        return self.scale * (np.repeat(a, 3, 0) if per_face else each[vertices])
+        return self.scale * (np.repeat(a, 3, 0) if per_face else a[faces.reshape(-1)])
