@@ -270,13 +270,14 @@ def prepare(scene: Scene, plan: Plan) -> World:
     last = jnp.zeros((1, rows.shape[1]), rows.dtype).at[0, FACE["side"]].set(1.0)
     last = last.at[0, FACE["density"]].set(chance[-1]) if plan.environment else last
     rows = jnp.concatenate([rows, last])
-    radiance = scene.radiance * np.where(np.arange(len(scene.radiance)) == 1, plan.enclosure, plan.area_light)[:, None]
+    kept = np.where(np.arange(len(scene.radiance)) == 1, plan.enclosure, plan.area_light)
+    radiance, textured = scene.radiance * kept[:, None], scene.radiance_map * kept
     lit = radiance[scene.finishes[scene.shape_finish[shape], 1]][:, : plan.channels]
     joined = lambda *columns: jnp.concatenate([a.astype(side.dtype) for a in columns], -1)
     of_face, of_lamp = chance[: len(face), None], chance[len(face) : len(face) + len(lamps), None]
     light_rows = joined(geometry[face], rows[face, :3], density[face][:, None], of_face, lit, face[:, None])
     if plan.textured_lights:
-        light_rows = joined(light_rows, scene.radiance_map[scene.finishes[scene.shape_finish[shape], 1]][:, None])
+        light_rows = joined(light_rows, textured[scene.finishes[scene.shape_finish[shape], 1]][:, None])
     if plan.lamp_kinds:  # position, direction, cutoff, beam, kind, up; then as for faces
         bright = intensity[:, : plan.channels]
         more = [scene.radiance_map[of_table][:, None]] if plan.textured_lights else []
@@ -294,7 +295,7 @@ def prepare(scene: Scene, plan: Plan) -> World:
     )
     bright = [radiance[:, : plan.channels]]
     if plan.textured_lights:
-        bright.append(scene.radiance_map[:, None].astype(radiance.dtype))
+        bright.append(textured[:, None].astype(radiance.dtype))
     bright = jnp.concatenate(bright, -1)
     finishes = jnp.concatenate([materials[scene.finishes[:, 0]], bright[scene.finishes[:, 1]]], -1)
     if plan.nodes:  # then rows of all materials, to which others refer

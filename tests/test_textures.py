@@ -115,6 +115,18 @@ def test_an_even_environment_is_a_constant_enclosure():
     assert (np.abs(z) < 4.5).all()
 
 
+def test_an_environment_forced_out_is_dark():
+    """Its texture, too: the picture is that without an enclosure, also where the camera looks past everything."""
+    past = camera((0.3, -1, 3), (0, 0, 0), 6, 6, 120.0)
+    lamp = jaxrt.Rectangle(to_world=moved(0.3, (0.5, 0, 2), np.diag([1.0, -1, -1])), emission=[5.0, 4.0, 3.0])
+    build = lambda around: jaxrt.Scene.build([jaxrt.Rectangle(), lamp], sensors=[past], enclosure=around, channels=3)
+    scene, without = build(jaxrt.Enclosure(jaxrt.Bitmap(COLOURS))), build(None)
+    a = picture(scene, jax.random.key(0), jaxrt.plan(scene, environment=False), spp=64, max_depth=2)
+    b = picture(without, jax.random.key(0), jaxrt.plan(without), spp=64, max_depth=2)
+    np.testing.assert_allclose(a, b, rtol=1e-4, atol=1e-6)
+    assert (np.asarray(a) == 0).any()
+
+
 def test_plans_of_textures():
     plain, painted = table(jaxrt.Diffuse(0.5)), table(jaxrt.Diffuse(jaxrt.Bitmap(COLOURS)))
     mixed, sky = table(jaxrt.Mask(jaxrt.Diffuse(0.5))), environment(COLOURS)
