@@ -71,3 +71,20 @@ def sample(film: tuple[Any, ...], p: Pixel, u: tuple[Any, Any]) -> tuple[Any, An
             q = at + 0.5 + cell[0] + cell[1] * (q * _KNOTS - k)
         out.append(q)
     return out[0], out[1]
+
+
+def density(film: tuple[Any, ...], p: Pixel, at: tuple[Any, Any]) -> Any:
+    """h_p at a position on the film: the density with which `sample` draws it, 1/pixel²."""
+    kind, radius, stddev = film[2:]
+    out = 1.0
+    for center, low, high, q in zip((p.column + 0.5, p.row + 0.5), p.low, p.high, at, strict=True):
+        if kind == "box":
+            inside, h = (q >= low) & (q < high), jnp.ones_like(q)
+        else:
+            place = (q - center + radius) / (2 * radius) * _KNOTS
+            k = jnp.clip(place.astype(jnp.int32), 0, _KNOTS - 1)
+            inside = (place >= 0) & (place < _KNOTS)
+            h = jnp.asarray(np.diff(_tables(kind, radius, stddev)[0]), q.dtype).at[k].get(mode="clip")
+            h = h * (_KNOTS / (2 * radius))
+        out = out * jnp.where(inside, h / jnp.maximum(high - low, 1e-30), 0.0)
+    return out

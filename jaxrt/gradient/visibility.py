@@ -1,0 +1,302 @@
+"""Boundary terms: how a picture changes because what is seen changes, where samples held fixed know nothing of it.
+
+∫ f over directions of which some see past an edge and some do not has a derivative beside that of f: the edge sweeps over
+directions, and on its way replaces what lies on one side of it by what lies on the other. At a point x, with the
+edge's point y = x + r ω, N̂ the normal of the plane of x and the edge, φ the angle along it:
+
+    dL_o(x) = ∫ f_r cosθ (L₋ − L₊) (N̂·w)/r dφ,     w = ẏ − ẋ for directions fixed in space (reflected light R)
+
+and for direct light, whose samples z stay on the emitter, w = (ẏ − ẋ) − (r/|z−x|)(ż − ẋ), with −L⁰(z) behind the
+edge in place of the difference (see `material`). On the film: dI = ∫ h(q) (L₋ − L₊) (q̇·N̂) dl, q the edge's image.
+
+Each is written as Σ coefficient · position minus its own value: zero, with the right first derivative. Coefficients are
+held fixed, so that only positions of edges, of x and of z are differentiated.
+"""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import replace
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax.lax import stop_gradient as sg
+
+from .. import brdf
+from ..rules import reflected, reflection_node
+from ..sampling.sobol import Stream, combine
+from ..solver import path
+from ..surface import SurfacePoint, choice, leave, radiance_of, shading_at, surface_point
+from ..vector import Spectrum, Vec3, cross, dot, length, normalise, where
+from ..world import World
+from . import edges as edge
+from . import material
+from .edges import Edges
+
+CANDIDATES = 128
+"""Edges that one point chooses from; of more, this many drawn by length."""
+
+
+def aside(world: World, r: Any) -> Any:
+    """How far beside an edge at distance r to look, in radians: more than rounding moves points, and hardly more."""
+    fine = 3e-4 if world.faces.dtype == jnp.float32 else 1e-5
+    return jnp.minimum(jnp.maximum(fine, 4.0 * world.epsilon / jnp.maximum(r, 1e-30)), 0.05)
+
+
+class Chosen(eqx.Module):
+    """A direction to a point of an edge: the inverse of its density over φ (radians), 0 if there is none."""
+
+    edge: Any
+    w: Vec3
+    pole: Vec3
+    r: Any
+    uv: tuple[Any, Any]
+    weight: Any
+
+
+def choose(world: World, edges: Edges, x: Vec3, n: Vec3 | None, s: Stream, cone: tuple[Vec3, Any] | None) -> Chosen:
+    """An edge as seen from x (above the horizon of n), by the angle it takes over its distance, and an even angle along it.
+
+    `cone`: outlines alone, and the parts of them inside a cone of directions, (axis, sine of the half angle).
+    """
+    u, v = s.pair_at(0)
+    total = edges.ends.shape[0]
+    if total <= CANDIDATES:
+        numbers, scale = jnp.arange(total), jnp.ones(total, world.faces.dtype)
+    else:
+        chance = edges.chance
+        shift = s.pair_at(1)[0]
+        at = (jnp.arange(CANDIDATES) + shift) / CANDIDATES
+        numbers = jnp.clip(jnp.searchsorted(jnp.cumsum(chance), at, side="right"), 0, total - 1)
+        scale = 1.0 / (jnp.maximum(chance[numbers], 1e-30) * CANDIDATES)
+
+    def weigh(j: Any, scale: Any) -> Any:
+        arc = edge.arc_of(edges.ends[j], x, n)
+        seen = edge.hides(edges, j, x, arc.pole)
+        low, high = -arc.half, arc.half
+        if cone is None:
+            seen = seen | edges.crease[j]
+        else:
+            low, high = arc.towards(*cone)
+        there = seen & (j < edges.count) & (high > low)
+        return jnp.where(there, scale * (high - low) / jnp.maximum(arc.distance, world.epsilon), 0.0)
+
+    weights = jax.vmap(weigh)(numbers, scale)
+    sums = jnp.cumsum(weights)
+    k = jnp.minimum(jnp.sum(sums <= u * sums[-1]), len(numbers) - 1)
+    j, scale = numbers[k], scale[k]
+    arc = edge.arc_of(edges.ends[j], x, n)
+    low, high = (-arc.half, arc.half) if cone is None else arc.towards(*cone)
+    chance = weights[k] / jnp.where(sums[-1] > 0, sums[-1], 1.0)
+    w = arc.direction(low + (high - low) * v)
+    row = edges.ends[j]
+    p, q = Vec3(row[0], row[1], row[2]), Vec3(row[3], row[4], row[5])
+    along = q - p
+    across = cross(w, along)
+    normal = cross(p - x, along)
+    r = length(normal) / jnp.maximum(length(across), 1e-30)
+    t = jnp.clip(dot(x + w * r - p, along) / jnp.maximum(dot(along, along), 1e-30), 0.0, 1.0)
+    uv = edges.uv[j]
+    on_face = uv[0] + (uv[2] - uv[0]) * t, uv[1] + (uv[3] - uv[1]) * t
+    good = (chance > 0) & (high > low) & jnp.isfinite(r) & (r > 8.0 * world.epsilon)
+    weight = jnp.where(good, scale * (high - low) / jnp.where(good, chance, 1.0), 0.0)
+    return Chosen(j, w, arc.pole, jnp.where(good, r, 1.0), on_face, weight)
+
+
+def borders(world: World, y: Any, reach: Any) -> Any:
+    """Whether a point of M lies within `reach` (m) of a border of its face, if that is flat."""
+    row = sg(world.geometry).at[jnp.maximum(y.face, 0)].get(mode="clip", wrap_negative_indices=False)
+    a, b = (length(Vec3(row[k], row[k + 1], row[k + 2])) for k in (3, 6))
+    u, v = y.uv
+    four = y.face >= world.first("parallelogram")
+    far = jnp.where(four, jnp.minimum((1.0 - u) * a, (1.0 - v) * b), (1.0 - u - v) * jnp.minimum(a, b))
+    flat = (y.face >= 0) & (y.face < world.first("disk"))
+    return flat & (jnp.minimum(jnp.minimum(u * a, v * b), far) < reach)
+
+
+def owned(world: World, edges: Edges, j: Any, r: Any, reach: Any, minus: Any, plus: Any) -> Any:
+    """The share of an edge in the jump between what is met just beside it on either side.
+
+    All of it, if one of them is a face of the edge, which then is not hidden; half, if the other lies at the edge and
+    ends there too: then that one's border is an edge of its own (walls that were built one by one).
+    """
+    a, b = edges.faces[j, 0], edges.faces[j, 1]
+    own = [(y.face == a) | (y.face == b) for y in (minus, plus)]
+    tie = [borders(world, y, reach) & (jnp.abs(y.distance - r) < reach) for y in (minus, plus)]
+    alone = jnp.where(own[0], tie[1], tie[0])
+    share = jnp.where(own[0] & own[1], 1.0, jnp.where(alone, 0.5, 1.0))
+    return jnp.where((own[0] | own[1]) & (minus.face != plus.face), share, 0.0)
+
+
+def follow(world: World, depths: path.Depths, o: Vec3, d: Vec3, face: Any, s: Stream, depth: Any, whole: Any) -> Spectrum:
+    """An estimate of what arrives along a ray that lands on `face` as edge number `depth` of a path. Unless `whole`,
+    without the emission of lamps that are sampled there, whose derivative takes another form."""
+    first = replace(path.start(world, o, d), depth=depth)
+    x = surface_point(world, face, o, d)
+    begun = path.bounce(world, depths, first, path.bounce_stream(s, depth), face)
+    met = radiance_of(world, x, -d)
+    sampled = (x.light_density > 0) & (face >= 0) & ~whole
+    begun = replace(begun, radiance=begun.radiance - met.map(lambda c: jnp.where(sampled, c, 0.0)))
+    step = lambda p: path.bounce(world, depths, p, path.bounce_stream(s, p.depth))
+    more = lambda p: jnp.any(p.alive)
+    return jax.lax.while_loop(more, step, begun).radiance
+
+
+class Seen(eqx.Module):
+    """A point from which edges are seen: attached position, and held fixed: the normal on its side, an origin for rays
+    by direction (`lift` off the surface), what its path is worth."""
+
+    position: Vec3
+    normal: Vec3
+    lift: Vec3
+    beta: Spectrum
+
+    def origin(self, w: Vec3) -> Vec3:
+        return sg(self.position) + self.lift * jnp.where(dot(self.lift, w) < 0, -1.0, 1.0)
+
+
+def _look(world: World, seen: Seen, chosen: Chosen, side: Any) -> tuple[Vec3, Vec3, Any]:
+    """Origin, direction and face met just beside an edge."""
+    w = normalise(chosen.w + chosen.pole * (side * aside(world, chosen.r)))
+    o = seen.origin(w)
+    return o, w, world.settle(world.search.closest(o, w))
+
+
+def zero_valued(coefficient: Spectrum, position: Any) -> Spectrum:
+    """coefficient · (position − its own value)."""
+    moved = position - sg(position)
+    return coefficient.map(lambda c: sg(jnp.where(jnp.isfinite(c), c, 0.0)) * moved)
+
+
+def shadows(world: World, edges: Edges, seen: Seen, value: Any, s: Stream) -> Spectrum:
+    """The boundary term of direct light at a point; `value(ω)`: f_r cosθ."""
+    fixed, plan = sg(world), world.plan
+    x, n = sg(seen.position), None if brdf.is_translucent(plan.lobes) else seen.normal
+    bounds = fixed.light_bounds
+    chances = fixed.light_rows[: bounds.shape[0], 13] if bounds.shape[0] > 1 else jnp.ones(1)
+    cdf = jnp.cumsum(chances)
+    k = jnp.minimum(jnp.sum(cdf <= s.pair_at(2)[0] * cdf[-1]), len(chances) - 1)
+    to = Vec3(bounds[k, 0], bounds[k, 1], bounds[k, 2]) - x
+    sine = bounds[k, 3] / jnp.maximum(length(to), 1e-30)
+    chosen = choose(fixed, edges, x, n, s, (normalise(to), sine * 1.0005 + 1e-6))
+    j, r = chosen.edge, chosen.r
+    beside = Vec3(edges.beside[j, 0], edges.beside[j, 1], edges.beside[j, 2])
+    free = jnp.where(dot(chosen.pole, beside - x) > 0, -1.0, 1.0)
+    o, w, face = _look(fixed, seen, chosen, free)
+    z = surface_point(fixed, face, o, w)
+    _, _, hider = _look(fixed, seen, chosen, -free)
+    asked = z.light_density > 0
+    if bounds.shape[0] > 1:
+        asked &= face == fixed.light_rows[k, 14 + plan.channels].astype(jnp.int32)
+    owner = (hider == edges.faces[j, 0]) | (hider == edges.faces[j, 1])
+    ok = asked & owner & (face >= 0) & (z.distance > r * 1.0001) & (chosen.weight > 0)
+    emitted = radiance_of(fixed, z, -w)
+    scale = jnp.where(ok, -free * chosen.weight * cdf[-1] / jnp.maximum(chances[k], 1e-30) / r, 0.0)
+    coefficient = seen.beta * value(chosen.w) * emitted * scale
+    y = edge.edge_point(world, edges.faces[j, 0], chosen.uv)
+    there = where(ok, z, replace(z, face=jnp.maximum(face, 0)))
+    behind = material.emitter_point(world, there)[0]
+    ratio = r / jnp.where(ok, z.distance, 1.0)
+    w_attached = (y - seen.position) - (behind - seen.position) * ratio
+    return zero_valued(coefficient, dot(chosen.pole, w_attached))
+
+
+def outlines(world: World, edges: Edges, depths: path.Depths, seen: Seen, value: Any, s: Stream, depth: Any) -> Spectrum:
+    """The boundary term of reflected light, and of the enclosure's, at a point that a path reached with `depth` edges."""
+    fixed, plan = sg(world), world.plan
+    x, n = sg(seen.position), None if brdf.is_translucent(plan.lobes) else seen.normal
+    chosen = choose(fixed, edges, x, n, s, None)
+
+    def one(side: Any) -> tuple[Any, Spectrum]:
+        o, w, face = _look(fixed, seen, chosen, side)
+        y = surface_point(fixed, face, o, w)
+        return y, follow(fixed, depths, o, w, face, s, depth + 1, not plan.light_kinds)
+
+    y, light = jax.vmap(one)(jnp.array([-1.0, 1.0], fixed.faces.dtype))
+    minus, plus = (jax.tree.map(lambda a, k=k: a[k], y) for k in (0, 1))
+    reach = 8.0 * aside(fixed, chosen.r) * chosen.r
+    share = owned(fixed, edges, chosen.edge, chosen.r, reach, minus, plus)
+    coefficient = seen.beta * value(chosen.w) * light.map(lambda c: c[0] - c[1]) * (chosen.weight * share / chosen.r)
+    y_attached = edge.edge_point(world, edges.faces[chosen.edge, 0], chosen.uv)
+    return zero_valued(coefficient, dot(chosen.pole, y_attached - seen.position))
+
+
+def surfaces(
+    world: World, edges: Edges, begin: Any, steps: int, depths: path.Depths, seed: Any, numbers: Any, spp: int
+) -> Any:
+    """The boundary terms of all reflection integrals on the way to lanes `numbers`, means over spp paths, (N, C): 0.
+
+    Each path takes the term of direct light at every landing, and that of reflected light at one of them, the k-th
+    with chance 2^(−k−1).
+    """
+    fixed, plan = sg(world), world.plan
+    seed = combine(seed, 0xB0DE)
+
+    def value(at: Any, w: Vec3) -> Spectrum:
+        return reflected(fixed, at, w)
+
+    def landed(x: SurfacePoint, at: Any, beta: Spectrum) -> Seen:
+        return Seen(x.position, sg(at.frame.n * at.side), sg(x.normal) * fixed.epsilon, sg(beta))
+
+    def one(number: Any, sample: Any) -> Any:
+        s = path.sample_stream(seed, number, sample)
+        begun = begin(world, number, s)
+        total = Spectrum.full(plan.channels, 0.0 * begun.o.x)
+        u = s.child(21).pair_at(0)[0]
+        meter = begin.meter(world, number, s)
+        last = max(steps - 1, 0)
+        at_which = jnp.minimum(jnp.floor(-jnp.log2(jnp.maximum(1.0 - u, 1e-9))).astype(jnp.int32), last)
+        chance = jnp.exp2(-jnp.minimum(at_which + 1, last).astype(u.dtype))
+        if meter is not None:  # white paint, before the first landing
+            position, normal, weight = meter
+            beta = Spectrum.full(plan.channels, sg(weight))
+            seen = Seen(position, sg(normal), sg(normal) * 0.0, beta)
+            white = lambda w: Spectrum.full(plan.channels, jnp.maximum(dot(seen.normal, w), 0.0))
+            if plan.light_kinds:
+                total = total + shadows(world, edges, seen, white, s.child(22))
+            total = total + outlines(world, edges, depths, seen, white, s.child(23), jnp.int32(-1))
+
+        def body(carry: Any, k: Any) -> tuple[Any, None]:
+            state, total, kept = carry
+            s_k = path.bounce_stream(s, k)
+            x = surface_point(world, world.settle(fixed.search.closest(state.o, state.d)), state.o, state.d)
+            wo = -state.d
+            at = shading_at(world, x, wo, choice(world, s_k), True)
+            goes_on = (state.depth + 1 < depths.max_depth) | (depths.max_depth < 0)
+            alive = state.alive & (x.face >= 0) & goes_on
+            seen = landed(x, at, state.beta)
+            if plan.light_kinds:
+                term = shadows(world, edges, seen, functools.partial(value, sg(at)), s_k.child(22))
+                total = total + term.map(lambda c: jnp.where(alive, c, 0.0))
+            here = alive & (k == at_which)
+            kept = where(here, (x.position, sg(x), sg(wo), sg(state.beta), here), kept)
+            node = world.settle(reflection_node(world, at, s_k))
+            beta = sg(state.beta * node.weight)
+            alive = alive & (beta.max() > 0)
+            follow = path.PathState(
+                leave(world, x, node.w), node.w, beta, state.radiance, node.pdf, node.delta, state.depth + 1, alive
+            )
+            return (follow, total, kept), None
+
+        x = surface_point(world, jnp.zeros_like(begun.depth), begun.o, begun.d)  # of the right structure
+        none = (x.position, sg(x), sg(-begun.d), sg(begun.beta), begun.alive & False)
+        (_, total, kept), _ = jax.lax.scan(body, (begun, total, none), jnp.arange(max(steps, 1), dtype=jnp.uint32))
+        position, x, wo, beta, found = kept
+        s_k = path.bounce_stream(s, at_which.astype(jnp.uint32))
+        at = shading_at(fixed, x, wo, choice(fixed, s_k))
+        seen = replace(landed(x, at, beta * (1.0 / chance)), position=position)
+        term = outlines(world, edges, depths, seen, functools.partial(value, at), s_k.child(23), at_which)
+        total = total + term.map(lambda c: jnp.where(found, c, 0.0))
+        return total.array()
+
+    @functools.partial(jax.checkpoint, prevent_cse=False)
+    def one_pass(numbers: Any, sample: Any) -> Any:
+        return jax.vmap(lambda number: one(number, sample))(numbers)
+
+    def add(total: Any, sample: Any) -> tuple[Any, None]:
+        return total + one_pass(numbers, sample), None
+
+    zero = jnp.zeros((numbers.shape[0], plan.channels), world.faces.dtype)
+    return jax.lax.scan(add, zero, jnp.arange(spp, dtype=jnp.int32))[0] / spp
