@@ -77,7 +77,9 @@ def film(res: int) -> jaxrt.Film:
     return jaxrt.Film(res, res, "box")
 
 
-def stage(res: int, *more: Any, floor: Any = GREY, lamp: float = 5.0, enclosure: float = 0.0, cube: Any = None, **kw: Any) -> jaxrt.Scene:
+def stage(
+    res: int, *more: Any, floor: Any = GREY, lamp: float = 5.0, enclosure: float = 0.0, cube: Any = None, **kw: Any
+) -> jaxrt.Scene:
     """A cube that floats over a floor under a lamp."""
     shapes = [
         jaxrt.Rectangle(id="floor", to_world=FLOOR, bsdf=floor),
@@ -103,8 +105,12 @@ def motions(res: int = 48) -> dict[str, Callable[[], Motion]]:
     cube = lambda v: lambda t: {"cube.to_world": shifted(CUBE, jnp.asarray(v) * t)}
     v, f = icosphere()
     ball = jaxrt.Mesh(id="ball", vertices=v * 0.5 + [-0.2, 0.9, 0.1], faces=f, normals=v, bsdf=jaxrt.Diffuse(0.4))
-    mirror = jaxrt.Rectangle(id="mirror", to_world=placed(1.2, (0.0, 1.3, -1.2), "z"), bsdf=jaxrt.Conductor(0.0, id="m"))
-    screen = jaxrt.Rectangle(id="screen", to_world=placed(0.8, (0.3, 2.3, 0.2), "y"), bsdf=jaxrt.TwoSided(jaxrt.Diffuse(0.5)))
+    mirror = jaxrt.Rectangle(
+        id="mirror", to_world=placed(1.2, (0.0, 1.3, -1.2), "z"), bsdf=jaxrt.Conductor(0.0, id="m")
+    )
+    screen = jaxrt.Rectangle(
+        id="screen", to_world=placed(0.8, (0.3, 2.3, 0.2), "y"), bsdf=jaxrt.TwoSided(jaxrt.Diffuse(0.5))
+    )
 
     def everything(t: Any) -> dict[str, Any]:
         return {

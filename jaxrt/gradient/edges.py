@@ -15,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int32
 
+from .. import brdf
 from ..scene import Scene
 from ..vector import Vec3, cross, dot, normalise, safe_sqrt
 from ..world import World
@@ -41,6 +42,7 @@ class Edges(eqx.Module):
     border: Bool[Array, " E"]
     crease: Bool[Array, " E"]
     count: Int32[Array, ""]
+    mirrors: Float[Array, " P"] | None  # chance of each face, by area, to be the flat mirror in which edges are seen
 
     @property
     def chance(self) -> Any:
@@ -133,7 +135,50 @@ def edges_of(scene: Scene, world: World) -> Edges | None:
         border=border[keep],
         crease=(~even)[keep],
         count=there.sum(),
+        mirrors=_mirrors(scene, world) if brdf.has_delta(world.plan.lobes) else None,
     )
+
+
+def _mirrors(scene: Scene, world: World) -> Any:
+    plan, flat = world.plan, sum(scene.blocks[:3])
+    geometry = jax.lax.stop_gradient(world.geometry[:flat])
+    lobe = jnp.full(flat, float(brdf.LOBES[plan.lobes[0]].number))
+    if "lobe" in plan.fields:
+        column = brdf.MaterialColumns(plan.channels, plan.fields).at["lobe"][0]
+        lobe = world.finishes[scene.shape_finish[scene.face_shape[:flat]], column]
+    numbers = jnp.array([brdf.LOBES[name].number for name in plan.lobes if brdf.LOBES[name].delta])
+    real = jnp.concatenate([jnp.arange(n) < scene.counts[k] for k, n in enumerate(scene.blocks[:3])])
+    area = jnp.sqrt((jnp.cross(geometry[:, 3:6], geometry[:, 6:9]) ** 2).sum(-1))
+    area = area * (real & (jnp.round(lobe)[:, None] == numbers).any(-1))
+    return area / jnp.maximum(area.sum(), 1e-30)
+
+
+class Plane(eqx.Module):
+    """A flat mirror's: a point of it and the unit normal."""
+
+    o: Vec3
+    n: Vec3
+
+    @classmethod
+    def of(cls, world: World, face: Any) -> Plane:
+        o, a, b = corners(world, face)
+        return cls(o, normalise(cross(a, b)))
+
+    def image(self, p: Vec3) -> Vec3:
+        """Where a point is seen in the mirror."""
+        return p - self.n * (2.0 * dot(self.n, p - self.o))
+
+
+def corners(world: World, face: Any) -> tuple[Vec3, Vec3, Vec3]:
+    """Origin, e₁ and e₂ of a face, attached."""
+    row = world.geometry.at[face].get(mode="clip", wrap_negative_indices=False)
+    return Vec3(row[0], row[1], row[2]), Vec3(row[3], row[4], row[5]), Vec3(row[6], row[7], row[8])
+
+
+def two_points(row: Any, plane: Plane | None = None) -> tuple[Vec3, Vec3]:
+    """The two points in a row of `ends` or `beside`, or their images in a mirror."""
+    p, q = Vec3(row[0], row[1], row[2]), Vec3(row[3], row[4], row[5])
+    return (p, q) if plane is None else (plane.image(p), plane.image(q))
 
 
 def _dot(a: Any, b: Any) -> Any:
@@ -173,9 +218,9 @@ class Arc(eqx.Module):
         return jnp.maximum(-self.half, at - delta), jnp.minimum(self.half, at + delta)
 
 
-def arc_of(ends: Any, x: Vec3, n: Vec3 | None) -> Arc:
-    """An edge's row of `ends` as seen from x, above the horizon of the normal n if one is given."""
-    a, b = Vec3(ends[0], ends[1], ends[2]) - x, Vec3(ends[3], ends[4], ends[5]) - x
+def arc_of(ends: tuple[Vec3, Vec3], x: Vec3, n: Vec3 | None) -> Arc:
+    """An edge between two points as seen from x, above the horizon of the normal n if one is given."""
+    a, b = ends[0] - x, ends[1] - x
     gone = False
     if n is not None:
         fa, fb = dot(n, a), dot(n, b)
@@ -191,15 +236,13 @@ def arc_of(ends: Any, x: Vec3, n: Vec3 | None) -> Arc:
     return Arc(middle, cross(pole, middle), pole, 0.5 * theta, safe_sqrt(dot(to, to)))
 
 
-def hides(edges: Edges, j: Any, x: Vec3, pole: Vec3) -> Any:
-    """Whether edge j is an outline as seen from x: M lies on one side of it only."""
-    beside = edges.beside[j]
-    s, t = (dot(pole, Vec3(beside[k], beside[k + 1], beside[k + 2]) - x) for k in (0, 3))
+def hides(edges: Edges, j: Any, x: Vec3, pole: Vec3, plane: Plane | None = None) -> Any:
+    """Whether edge j (or its image in a mirror) is an outline as seen from x: M lies on one side of it only."""
+    s, t = (dot(pole, p - x) for p in two_points(edges.beside[j], plane))
     return edges.border[j] | (s * t > 0)
 
 
 def edge_point(world: World, face: Any, uv: tuple[Any, Any]) -> Vec3:
     """The point of a flat face at coordinates (u, v) that moves with the face."""
-    row = world.geometry.at[face].get(mode="clip", wrap_negative_indices=False)
-    o, a, b = (Vec3(row[k], row[k + 1], row[k + 2]) for k in (0, 3, 6))
+    o, a, b = corners(world, face)
     return o + a * uv[0] + b * uv[1]

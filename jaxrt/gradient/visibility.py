@@ -46,20 +46,39 @@ def aside(world: World, r: Any) -> Any:
 
 
 class Chosen(eqx.Module):
-    """A direction to a point of an edge: the inverse of its density over φ (radians), 0 if there is none."""
+    """A direction to a point of an edge, or of its image in a mirror; `t` along the edge, and dt/dφ; the inverse of its
+    density over φ (radians), 0 if there is none."""
 
     edge: Any
     w: Vec3
     pole: Vec3
     r: Any
-    uv: tuple[Any, Any]
+    t: Any
+    slope: Any
     weight: Any
 
+    def attached(self, world: World, edges: Edges, mirror: Any = None) -> Vec3:
+        """The edge's point, or its image, that moves with M."""
+        uv, t = edges.uv[self.edge], self.t
+        on_face = uv[0] + (uv[2] - uv[0]) * t, uv[1] + (uv[3] - uv[1]) * t
+        y = edge.edge_point(world, edges.faces[self.edge, 0], on_face)
+        return y if mirror is None else edge.Plane.of(world, mirror).image(y)
 
-def choose(world: World, edges: Edges, x: Vec3, n: Vec3 | None, s: Stream, cone: tuple[Vec3, Any] | None) -> Chosen:
+
+def choose(
+    world: World,
+    edges: Edges,
+    x: Vec3,
+    n: Vec3 | None,
+    s: Stream,
+    cone: tuple[Vec3, Any] | None = None,
+    plane: edge.Plane | None = None,
+    creases: bool = True,
+) -> Chosen:
     """An edge as seen from x (above the horizon of n), by the angle it takes over its distance, and an even angle along it.
 
-    `cone`: outlines alone, and the parts of them inside a cone of directions, (axis, sine of the half angle).
+    `cone`: the parts of edges inside a cone of directions, (axis, sine of the half angle). `plane`: a mirror, in which
+    they are seen. Without `creases`: outlines alone.
     """
     u, v = s.pair_at(0)
     total = edges.ends.shape[0]
@@ -73,13 +92,10 @@ def choose(world: World, edges: Edges, x: Vec3, n: Vec3 | None, s: Stream, cone:
         scale = 1.0 / (jnp.maximum(chance[numbers], 1e-30) * CANDIDATES)
 
     def weigh(j: Any, scale: Any) -> Any:
-        arc = edge.arc_of(edges.ends[j], x, n)
-        seen = edge.hides(edges, j, x, arc.pole)
-        low, high = -arc.half, arc.half
-        if cone is None:
-            seen = seen | edges.crease[j]
-        else:
-            low, high = arc.towards(*cone)
+        arc = edge.arc_of(edge.two_points(edges.ends[j], plane), x, n)
+        seen = edge.hides(edges, j, x, arc.pole, plane)
+        seen = seen | edges.crease[j] if creases else seen
+        low, high = (-arc.half, arc.half) if cone is None else arc.towards(*cone)
         there = seen & (j < edges.count) & (high > low)
         return jnp.where(there, scale * (high - low) / jnp.maximum(arc.distance, world.epsilon), 0.0)
 
@@ -87,22 +103,20 @@ def choose(world: World, edges: Edges, x: Vec3, n: Vec3 | None, s: Stream, cone:
     sums = jnp.cumsum(weights)
     k = jnp.minimum(jnp.sum(sums <= u * sums[-1]), len(numbers) - 1)
     j, scale = numbers[k], scale[k]
-    arc = edge.arc_of(edges.ends[j], x, n)
+    p, q = edge.two_points(edges.ends[j], plane)
+    arc = edge.arc_of((p, q), x, n)
     low, high = (-arc.half, arc.half) if cone is None else arc.towards(*cone)
     chance = weights[k] / jnp.where(sums[-1] > 0, sums[-1], 1.0)
     w = arc.direction(low + (high - low) * v)
-    row = edges.ends[j]
-    p, q = Vec3(row[0], row[1], row[2]), Vec3(row[3], row[4], row[5])
     along = q - p
     across = cross(w, along)
     normal = cross(p - x, along)
     r = length(normal) / jnp.maximum(length(across), 1e-30)
     t = jnp.clip(dot(x + w * r - p, along) / jnp.maximum(dot(along, along), 1e-30), 0.0, 1.0)
-    uv = edges.uv[j]
-    on_face = uv[0] + (uv[2] - uv[0]) * t, uv[1] + (uv[3] - uv[1]) * t
     good = (chance > 0) & (high > low) & jnp.isfinite(r) & (r > 8.0 * world.epsilon)
     weight = jnp.where(good, scale * (high - low) / jnp.where(good, chance, 1.0), 0.0)
-    return Chosen(j, w, arc.pole, jnp.where(good, r, 1.0), on_face, weight)
+    slope = r * r / jnp.maximum(length(normal), 1e-30)
+    return Chosen(j, w, arc.pole, jnp.where(good, r, 1.0), t, slope, weight)
 
 
 def borders(world: World, y: Any, reach: Any) -> Any:
@@ -127,21 +141,15 @@ def owned(world: World, edges: Edges, j: Any, r: Any, reach: Any, minus: Any, pl
     tie = [borders(world, y, reach) & (jnp.abs(y.distance - r) < reach) for y in (minus, plus)]
     alone = jnp.where(own[0], tie[1], tie[0])
     share = jnp.where(own[0] & own[1], 1.0, jnp.where(alone, 0.5, 1.0))
-    return jnp.where((own[0] | own[1]) & (minus.face != plus.face), share, 0.0)
+    parted = (minus.face != plus.face) & (minus.face > -2) & (plus.face > -2)
+    return jnp.where((own[0] | own[1]) & parted, share, 0.0)
 
 
-def follow(world: World, depths: path.Depths, o: Vec3, d: Vec3, face: Any, s: Stream, depth: Any, whole: Any) -> Spectrum:
-    """An estimate of what arrives along a ray that lands on `face` as edge number `depth` of a path. Unless `whole`,
-    without the emission of lamps that are sampled there, whose derivative takes another form."""
-    first = replace(path.start(world, o, d), depth=depth)
-    x = surface_point(world, face, o, d)
-    begun = path.bounce(world, depths, first, path.bounce_stream(s, depth), face)
-    met = radiance_of(world, x, -d)
-    sampled = (x.light_density > 0) & (face >= 0) & ~whole
-    begun = replace(begun, radiance=begun.radiance - met.map(lambda c: jnp.where(sampled, c, 0.0)))
+def follow(world: World, depths: path.Depths, o: Vec3, d: Vec3, s: Stream, depth: Any, unwanted: Spectrum) -> Spectrum:
+    """An estimate of what arrives along a ray that is edge number `depth` of a path, but for `unwanted` emission."""
+    first = replace(path.start(world, o, d), depth=depth, radiance=unwanted * -1.0)
     step = lambda p: path.bounce(world, depths, p, path.bounce_stream(s, p.depth))
-    more = lambda p: jnp.any(p.alive)
-    return jax.lax.while_loop(more, step, begun).radiance
+    return jax.lax.while_loop(lambda p: jnp.any(p.alive), step, first).radiance
 
 
 class Seen(eqx.Module):
@@ -164,6 +172,38 @@ def _look(world: World, seen: Seen, chosen: Chosen, side: Any) -> tuple[Vec3, Ve
     return o, w, world.settle(world.search.closest(o, w))
 
 
+class Mirror(eqx.Module):
+    """A flat mirror, chosen by area: its face, its plane, the cone that holds it as seen from x, and 1/its chance."""
+
+    face: Any
+    plane: edge.Plane
+    cone: tuple[Vec3, Any]
+    weight: Any
+
+    @classmethod
+    def choose(cls, world: World, edges: Edges, x: Vec3, u: Any) -> Mirror:
+        chance = edges.mirrors
+        assert chance is not None
+        face = jnp.minimum(jnp.sum(jnp.cumsum(chance) <= u), len(chance) - 1)
+        o, a, b = edge.corners(world, face)
+        middle, sides = o + (a + b) * 0.5, [length(a + b), length(a - b)]  # of a disk, half of the square around it
+        disk = face >= world.first("disk")
+        to = where(disk, o, middle) - x
+        radius = jnp.maximum(*sides) * jnp.where(disk, 1.0, 0.5)
+        sine = radius / jnp.maximum(length(to), 1e-30)
+        ok = chance[face] > 0
+        weight = jnp.where(ok, 1.0 / jnp.where(ok, chance[face], 1.0), 0.0)
+        return cls(face, edge.Plane.of(world, face), (normalise(to), sine), weight)
+
+    def behind(self, world: World, o: Vec3, w: Vec3, at: SurfacePoint) -> SurfacePoint:
+        """What a ray that lands at a point sees in the mirror; of face −2 where the point is not on it."""
+        turned = w - self.plane.n * (2.0 * dot(self.plane.n, w))
+        origin = leave(world, at, turned)
+        y = surface_point(world, world.settle(world.search.closest(origin, turned)), origin, turned)
+        there = at.face == self.face
+        return replace(y, distance=y.distance + at.distance, face=jnp.where(there, y.face, -2))
+
+
 def zero_valued(coefficient: Spectrum, position: Any) -> Spectrum:
     """coefficient · (position − its own value)."""
     moved = position - sg(position)
@@ -180,7 +220,7 @@ def shadows(world: World, edges: Edges, seen: Seen, value: Any, s: Stream) -> Sp
     k = jnp.minimum(jnp.sum(cdf <= s.pair_at(2)[0] * cdf[-1]), len(chances) - 1)
     to = Vec3(bounds[k, 0], bounds[k, 1], bounds[k, 2]) - x
     sine = bounds[k, 3] / jnp.maximum(length(to), 1e-30)
-    chosen = choose(fixed, edges, x, n, s, (normalise(to), sine * 1.0005 + 1e-6))
+    chosen = choose(fixed, edges, x, n, s, (normalise(to), sine * 1.0005 + 1e-6), creases=False)
     j, r = chosen.edge, chosen.r
     beside = Vec3(edges.beside[j, 0], edges.beside[j, 1], edges.beside[j, 2])
     free = jnp.where(dot(chosen.pole, beside - x) > 0, -1.0, 1.0)
@@ -195,7 +235,7 @@ def shadows(world: World, edges: Edges, seen: Seen, value: Any, s: Stream) -> Sp
     emitted = radiance_of(fixed, z, -w)
     scale = jnp.where(ok, -free * chosen.weight * cdf[-1] / jnp.maximum(chances[k], 1e-30) / r, 0.0)
     coefficient = seen.beta * value(chosen.w) * emitted * scale
-    y = edge.edge_point(world, edges.faces[j, 0], chosen.uv)
+    y = chosen.attached(world, edges)
     there = where(ok, z, replace(z, face=jnp.maximum(face, 0)))
     behind = material.emitter_point(world, there)[0]
     ratio = r / jnp.where(ok, z.distance, 1.0)
@@ -203,24 +243,41 @@ def shadows(world: World, edges: Edges, seen: Seen, value: Any, s: Stream) -> Sp
     return zero_valued(coefficient, dot(chosen.pole, w_attached))
 
 
-def outlines(world: World, edges: Edges, depths: path.Depths, seen: Seen, value: Any, s: Stream, depth: Any) -> Spectrum:
-    """The boundary term of reflected light, and of the enclosure's, at a point that a path reached with `depth` edges."""
+def outlines(
+    world: World, edges: Edges, depths: path.Depths, seen: Seen, value: Any, s: Stream, depth: Any
+) -> Spectrum:
+    """The boundary term of reflected light, and of the enclosure's, at a point that a path reached with `depth` edges.
+
+    The emission of lamps that are sampled there has another form, see `shadows`. Edges are seen from there, and where a
+    scene has mirrors their images in one of those as well.
+    """
     fixed, plan = sg(world), world.plan
     x, n = sg(seen.position), None if brdf.is_translucent(plan.lobes) else seen.normal
-    chosen = choose(fixed, edges, x, n, s, None)
+    kinds: list[tuple[Chosen, Mirror | None]] = [(choose(fixed, edges, x, n, s), None)]
+    if edges.mirrors is not None:
+        mirror = Mirror.choose(fixed, edges, x, s.pair_at(2)[1])
+        kinds.append((choose(fixed, edges, x, n, s.child(1), mirror.cone, mirror.plane), mirror))
 
-    def one(side: Any) -> tuple[Any, Spectrum]:
-        o, w, face = _look(fixed, seen, chosen, side)
-        y = surface_point(fixed, face, o, w)
-        return y, follow(fixed, depths, o, w, face, s, depth + 1, not plan.light_kinds)
+    def ray(w: Vec3, pole: Vec3, angle: Any) -> Any:
+        w = normalise(w + pole * angle)
+        o = seen.origin(w)
+        y = surface_point(fixed, world.settle(fixed.search.closest(o, w)), o, w)
+        met, sampled = radiance_of(fixed, y, -w), (y.light_density > 0) & (y.face >= 0) & bool(plan.light_kinds)
+        unwanted = met.map(lambda c: jnp.where(sampled, c, 0.0))
+        return o, w, y, follow(fixed, depths, o, w, s, depth + 1, unwanted)
 
-    y, light = jax.vmap(one)(jnp.array([-1.0, 1.0], fixed.faces.dtype))
-    minus, plus = (jax.tree.map(lambda a, k=k: a[k], y) for k in (0, 1))
-    reach = 8.0 * aside(fixed, chosen.r) * chosen.r
-    share = owned(fixed, edges, chosen.edge, chosen.r, reach, minus, plus)
-    coefficient = seen.beta * value(chosen.w) * light.map(lambda c: c[0] - c[1]) * (chosen.weight * share / chosen.r)
-    y_attached = edge.edge_point(world, edges.faces[chosen.edge, 0], chosen.uv)
-    return zero_valued(coefficient, dot(chosen.pole, y_attached - seen.position))
+    sides = [(c.w, c.pole, side * aside(fixed, c.r)) for c, _ in kinds for side in (-1.0, 1.0)]
+    o, w, y, light = jax.vmap(ray)(*jax.tree.map(lambda *a: jnp.stack(a), *sides))
+    total = Spectrum.full(plan.channels, 0.0 * x.x)
+    for k, (chosen, mirror) in enumerate(kinds):
+        rays = [jax.tree.map(lambda a, i=2 * k + i: a[i], (o, w, y, light)) for i in (0, 1)]
+        met = [r[2] for r in rays] if mirror is None else [mirror.behind(fixed, *r[:3]) for r in rays]
+        share = owned(fixed, edges, chosen.edge, chosen.r, 8.0 * aside(fixed, chosen.r) * chosen.r, *met)
+        scale = chosen.weight * share * (1.0 if mirror is None else mirror.weight) / chosen.r
+        coefficient = seen.beta * value(chosen.w) * (rays[0][3] - rays[1][3]) * scale
+        y_attached = chosen.attached(world, edges, None if mirror is None else mirror.face)
+        total = total + zero_valued(coefficient, dot(chosen.pole, y_attached - seen.position))
+    return total
 
 
 def surfaces(
@@ -228,35 +285,34 @@ def surfaces(
 ) -> Any:
     """The boundary terms of all reflection integrals on the way to lanes `numbers`, means over spp paths, (N, C): 0.
 
-    Each path takes the term of direct light at every landing, and that of reflected light at one of them, the k-th
-    with chance 2^(−k−1).
+    Each path takes the term of direct light at every landing, and that of reflected light at one of them: with
+    chance 1/2 at the first, 1/4 at the second. What a meter takes in counts as a landing before those.
     """
     fixed, plan = sg(world), world.plan
-    seed = combine(seed, 0xB0DE)
-
-    def value(at: Any, w: Vec3) -> Spectrum:
-        return reflected(fixed, at, w)
+    seed, last = combine(seed, 0xB0DE), max(steps - 2, 0)
 
     def landed(x: SurfacePoint, at: Any, beta: Spectrum) -> Seen:
         return Seen(x.position, sg(at.frame.n * at.side), sg(x.normal) * fixed.epsilon, sg(beta))
 
     def one(number: Any, sample: Any) -> Any:
         s = path.sample_stream(seed, number, sample)
-        begun = begin(world, number, s)
-        total = Spectrum.full(plan.channels, 0.0 * begun.o.x)
+        begun, meter = begin(world, number, s), begin.meter(world, number, s)
+        first = 0 if meter is None else -1
         u = s.child(21).pair_at(0)[0]
-        meter = begin.meter(world, number, s)
-        last = max(steps - 1, 0)
-        at_which = jnp.minimum(jnp.floor(-jnp.log2(jnp.maximum(1.0 - u, 1e-9))).astype(jnp.int32), last)
-        chance = jnp.exp2(-jnp.minimum(at_which + 1, last).astype(u.dtype))
-        if meter is not None:  # white paint, before the first landing
+        which = jnp.floor(-jnp.log2(jnp.maximum(1.0 - u, 1e-9))).astype(jnp.int32) + first
+        which = jnp.minimum(which, last) if steps > 1 else jnp.full_like(which, first)
+        rare = jnp.exp2(jnp.minimum(which - first + 1, last - first if steps > 1 else 0).astype(u.dtype))
+        total = Spectrum.full(plan.channels, 0.0 * begun.o.x)
+        x = surface_point(fixed, jnp.zeros_like(begun.depth), sg(begun.o), sg(begun.d))  # of the right structure
+        kept = (begun.o, x, sg(begun.d), sg(begun.beta), begun.alive & False)
+        white = lambda n, w: Spectrum.full(plan.channels, jnp.maximum(dot(n, w), 0.0))
+        if meter is not None:
             position, normal, weight = meter
-            beta = Spectrum.full(plan.channels, sg(weight))
-            seen = Seen(position, sg(normal), sg(normal) * 0.0, beta)
-            white = lambda w: Spectrum.full(plan.channels, jnp.maximum(dot(seen.normal, w), 0.0))
+            beta = Spectrum.full(plan.channels, sg(weight * jnp.ones_like(u)))
             if plan.light_kinds:
-                total = total + shadows(world, edges, seen, white, s.child(22))
-            total = total + outlines(world, edges, depths, seen, white, s.child(23), jnp.int32(-1))
+                seen = Seen(position, sg(normal), sg(normal) * 0.0, beta)
+                total = total + shadows(world, edges, seen, functools.partial(white, sg(normal)), s.child(22))
+            kept = (position, replace(x, normal=sg(normal)), sg(normal), beta, which == -1)
 
         def body(carry: Any, k: Any) -> tuple[Any, None]:
             state, total, kept = carry
@@ -266,37 +322,39 @@ def surfaces(
             at = shading_at(world, x, wo, choice(world, s_k), True)
             goes_on = (state.depth + 1 < depths.max_depth) | (depths.max_depth < 0)
             alive = state.alive & (x.face >= 0) & goes_on
-            seen = landed(x, at, state.beta)
             if plan.light_kinds:
-                term = shadows(world, edges, seen, functools.partial(value, sg(at)), s_k.child(22))
+                f = functools.partial(reflected, fixed, sg(at))
+                term = shadows(world, edges, landed(x, at, state.beta), f, s_k.child(22))
                 total = total + term.map(lambda c: jnp.where(alive, c, 0.0))
-            here = alive & (k == at_which)
+            here = alive & (k.astype(jnp.int32) == which)
             kept = where(here, (x.position, sg(x), sg(wo), sg(state.beta), here), kept)
             node = world.settle(reflection_node(world, at, s_k))
             beta = sg(state.beta * node.weight)
-            alive = alive & (beta.max() > 0)
             follow = path.PathState(
-                leave(world, x, node.w), node.w, beta, state.radiance, node.pdf, node.delta, state.depth + 1, alive
-            )
+                leave(world, x, node.w), node.w, beta, state.radiance, node.pdf, node.delta, state.depth + 1,
+                alive & (beta.max() > 0),
+            )  # fmt: skip
             return (follow, total, kept), None
 
-        x = surface_point(world, jnp.zeros_like(begun.depth), begun.o, begun.d)  # of the right structure
-        none = (x.position, sg(x), sg(-begun.d), sg(begun.beta), begun.alive & False)
-        (_, total, kept), _ = jax.lax.scan(body, (begun, total, none), jnp.arange(max(steps, 1), dtype=jnp.uint32))
+        if steps > 1:
+            landings = jnp.arange(steps - 1, dtype=jnp.uint32)
+            (_, total, kept), _ = jax.lax.scan(body, (begun, total, kept), landings)
         position, x, wo, beta, found = kept
-        s_k = path.bounce_stream(s, at_which.astype(jnp.uint32))
+        s_k = path.bounce_stream(s, which)
         at = shading_at(fixed, x, wo, choice(fixed, s_k))
-        seen = replace(landed(x, at, beta * (1.0 / chance)), position=position)
-        term = outlines(world, edges, depths, seen, functools.partial(value, at), s_k.child(23), at_which)
-        total = total + term.map(lambda c: jnp.where(found, c, 0.0))
-        return total.array()
+        seen, f = replace(landed(x, at, beta * rare), position=position), functools.partial(reflected, fixed, at)
+        if meter is not None:
+            here = which == -1
+            normal = where(here, x.normal, seen.normal)
+            seen = replace(seen, normal=normal, lift=seen.lift * jnp.where(here, 0.0, 1.0))
+            f = lambda w: where(here, white(normal, w), reflected(fixed, at, w))
+        term = outlines(world, edges, depths, seen, f, s_k.child(23), which)
+        return (total + term.map(lambda c: jnp.where(found, c, 0.0))).array()
 
     @functools.partial(jax.checkpoint, prevent_cse=False)
     def one_pass(numbers: Any, sample: Any) -> Any:
         return jax.vmap(lambda number: one(number, sample))(numbers)
 
-    def add(total: Any, sample: Any) -> tuple[Any, None]:
-        return total + one_pass(numbers, sample), None
-
     zero = jnp.zeros((numbers.shape[0], plan.channels), world.faces.dtype)
+    add = lambda total, sample: (total + one_pass(numbers, sample), None)
     return jax.lax.scan(add, zero, jnp.arange(spp, dtype=jnp.int32))[0] / spp

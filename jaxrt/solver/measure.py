@@ -257,7 +257,9 @@ def irradiance(
     return _along(scene, Meters(o, n), key, plan, spp, max_depth, boundary).reshape(*batch, -1)
 
 
-def _along(scene: Scene, begin: Any, key: Any, plan: Plan | None, spp: int, max_depth: int | None, boundary: bool) -> Any:
+def _along(
+    scene: Scene, begin: Any, key: Any, plan: Plan | None, spp: int, max_depth: int | None, boundary: bool
+) -> Any:
     plan = _plan_of(scene, plan, spp)
     depths = dataclasses.replace(depths_of(scene, max_depth), hide_emitters=False)  # a meter sees all light
     n = begin.points.shape[0]
