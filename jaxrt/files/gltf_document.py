@@ -153,7 +153,7 @@ class Document:
             self.budget += 64 * size
         return self.buffers[index]
 
-    def view(self, index: Any, what: str) -> tuple[bytes, int]:
+    def view(self, index: Any, what: str) -> tuple[memoryview, int]:
         """The bytes of a bufferView, and its stride (0: none is given)."""
         view, of = self.item("bufferViews", index), f"bufferViews[{index}]."
         data = self.buffer(self.integer(view, "buffer", where=of))
@@ -163,7 +163,7 @@ class Document:
         stride = self.integer(view, "byteStride", 0, of)
         if "byteStride" in view and not stride:
             self.fail(f"{what} lies outside of its buffer, by a stride of 0; export it again")
-        return data[first : first + length], stride
+        return memoryview(data)[first : first + length], stride
 
     def spend(self, corners: int) -> None:
         self.budget -= corners
