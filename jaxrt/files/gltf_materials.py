@@ -56,6 +56,7 @@ def _look(entry: MaterialEntry, tint: Tint) -> Look:
     if emission is not None and entry.entry.get("doubleSided") is True:
         entry.note(" emits on its front side only")
     if isinstance(alpha, Texture) or alpha < 1:
+        emission = None if emission is None else _times(entry, emission, alpha)  # holes do not emit
         bsdf = Mask(bsdf, opacity=alpha, id=f"{entry.id}.mask")
     if "occlusionTexture" in entry.entry:
         entry.note(": occlusionTexture is not used, rays find what hides light")
@@ -86,21 +87,29 @@ def _base(entry: MaterialEntry, tint: Tint) -> tuple[Any, Any]:
             entry.note(f" is taken as opaque (alphaMode {str(mode)[:20]})")
     colour, alpha = (entry.bitmap(a, pbr, key) if laid else a for a in (rgba[..., :3], alpha))
     if isinstance(tint, int):
-        colour = _times(colour, VERTEX_COLOR)
+        colour = _times(entry, colour, MeshAttribute(VERTEX_COLOR))
         if tint == 4 and mode == "BLEND":
-            alpha = _times(alpha, VERTEX_ALPHA)
+            alpha = _times(entry, alpha, MeshAttribute(VERTEX_ALPHA))
         elif tint == 4 and mode == "MASK":
             entry.note(": alpha of vertices is not used where alphaMode is MASK")
     return colour, alpha if isinstance(alpha, Texture) else float(alpha)
 
 
-def _times(value: Any, attribute: str) -> Texture:
-    """A texture or one value, times values of vertices."""
-    if isinstance(value, Texture):
-        return Product(value, MeshAttribute(attribute))
-    if np.ptp(value) == 0:
-        return MeshAttribute(attribute, scale=float(np.ravel(value)[0]))
-    return Product(Bitmap(np.reshape(value, (1, 1, -1))), MeshAttribute(attribute))
+def _times(entry: MaterialEntry, a: Any, b: Any) -> Any:
+    """The product of values or textures."""
+    if not isinstance(a, Texture) and not isinstance(b, Texture):
+        return a * b
+    if not isinstance(b, Texture):
+        a, b = b, a
+    if not isinstance(a, Texture):
+        a = np.atleast_1d(a)
+        if isinstance(b, MeshAttribute) and np.ptp(a) == 0:
+            return MeshAttribute(b.name, scale=b.scale * float(a[0]))
+        a = Bitmap(np.reshape(a, (1, 1, -1)))
+    if isinstance(a, Product) or isinstance(b, Product):
+        entry.note(": alpha does not dim what it emits, which has colours of vertices and a texture")
+        return a if isinstance(a, Product) else b
+    return Product(a, b)
 
 
 def _emission(entry: MaterialEntry) -> Any:

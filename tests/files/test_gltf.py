@@ -6,7 +6,7 @@ import json
 
 import numpy as np
 import pytest
-from gltf_files import DATA, INDICES, NORMALS, POSITIONS, added, document, glb, load
+from gltf_files import DATA, INDICES, NORMALS, POSITIONS, added, document, glb, load, picture
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -205,6 +205,7 @@ def test_cameras(tmp_path):
     assert eye.fov == pytest.approx(np.degrees(0.8))
     assert (eye.fov_axis, eye.film.width, eye.film.height, eye.id) == ("y", 768, 512, "eye")
     assert eye.near == pytest.approx(0.2)
+    assert eye.far > 1e9  # without zfar
     # ours looks along its +z with +x to the left; theirs along −z with +x to the right
     np.testing.assert_allclose(eye.to_world, [[-1, 0, 0, 2], [0, 1, 0, 4], [0, 0, -1, 6], [0, 0, 0, 1]], atol=1e-15)
     assert ortho.kind == "orthographic"
@@ -381,12 +382,29 @@ def leaves(value, path=()):
 
 FULL = document(
     cameras=[{"type": "perspective", "perspective": {"yfov": 0.8, "aspectRatio": 1.5, "znear": 0.1, "zfar": 9}}],
-    nodes=[{"mesh": 0, "camera": 0, "scale": [-1, 1, 1], "rotation": [0, 0, 0, 1], "extensions": {}, "children": []}],
+    nodes=[{"mesh": 0, "camera": 0, "scale": [-1, 1, 1], "rotation": [0, 0, 0, 1], "children": []}],
     extensionsUsed=[],
-    textures=[{"source": 0}],
-    images=[{"uri": "a.png"}],
+    samplers=[{"wrapS": 33071, "wrapT": 33071, "magFilter": 9728}],
+    textures=[{"source": 0, "sampler": 0, "extensions": {"EXT_texture_webp": {"source": 0}}}],
+    images=[{"uri": picture([[[0, 255, 0, 9]], [[255, 255, 255, 99]]], "RGBA")}],
 )
-FULL["materials"][0] |= {"normalTexture": {"index": 0}, "emissiveFactor": [1, 1, 1], "alphaMode": "BLEND"}
+TEXTURE = {"index": 0, "texCoord": 0}
+FULL["nodes"][0]["extensions"] = {"EXT_mesh_gpu_instancing": {"attributes": {"TRANSLATION": 0}}}
+FULL["materials"][0] |= {"normalTexture": TEXTURE, "emissiveFactor": [1, 1, 1], "alphaMode": "BLEND"}
+FULL["materials"][0]["pbrMetallicRoughness"] |= {"baseColorTexture": TEXTURE, "metallicRoughnessTexture": TEXTURE}
+FULL["materials"][0]["extensions"] = {
+    "KHR_materials_transmission": {"transmissionFactor": 0.5, "transmissionTexture": TEXTURE},
+    "KHR_materials_volume": {"thicknessFactor": 1, "attenuationDistance": 1, "attenuationColor": [1, 0, 1]},
+    "KHR_materials_clearcoat": {"clearcoatFactor": 0.5, "clearcoatRoughnessTexture": TEXTURE},
+    "KHR_materials_specular": {"specularTexture": TEXTURE, "specularColorFactor": [1, 1, 1]},
+    "KHR_materials_ior": {"ior": 1.4},
+}
+FULL["meshes"][0]["primitives"][0]["attributes"]["COLOR_0"] = 0
+FULL["accessors"][0]["sparse"] = {
+    "count": 1,
+    "indices": {"bufferView": 3, "componentType": 5121},
+    "values": {"bufferView": 0, "byteOffset": 0},
+}
 JSON = st.recursive(
     st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=5),
     lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(max_size=5), inner, max_size=3),

@@ -106,6 +106,31 @@ def test_unlit_surfaces_are_as_bright_as_they_are(tmp_path):
     np.testing.assert_array_equal(shape.bsdf.reflectance, [0])
 
 
+@pytest.mark.slow
+@pytest.mark.usefixtures("short_loops")
+def test_coverage_of_what_emits(tmp_path):
+    """α L and (1 − α) of what is behind: an unlit sheet with colours of vertices, before one with a texture for α."""
+    doc = document(images=[{"uri": picture([[[255, 255, 255, 102]] * 2], "RGBA")}], textures=[{"source": 0}])
+    unlit = {"extensions": {"KHR_materials_unlit": {}}, "alphaMode": "BLEND"}
+    doc["materials"] = [
+        unlit | {"pbrMetallicRoughness": {"baseColorFactor": [1, 0.5, 0.25, 0.25]}},
+        unlit | {"pbrMetallicRoughness": {"baseColorTexture": {"index": 0}}},
+        {"pbrMetallicRoughness": {"baseColorFactor": [0, 0, 0, 1]}, "emissiveFactor": [0.5, 0.5, 0.5]},
+    ]
+    (one,) = doc["meshes"][0]["primitives"]
+    doc["meshes"] = [{"primitives": [one | {"material": k}]} for k in range(3)]
+    doc["nodes"] = [{"mesh": k, "translation": [0, 0, -k], "scale": [9, 9, 1]} for k in range(3)]
+    doc["nodes"] += [{"camera": 0, "translation": [12, 3, 9]}]
+    doc["scenes"] = [{"nodes": [0, 1, 2, 3]}]
+    doc["cameras"] = [{"type": "perspective", "perspective": {"yfov": 0.1, "aspectRatio": 1, "znear": 0.1}}]
+    scene = jaxrt.resized(jaxrt.load(glb(tmp_path / "a.glb", doc)), 0, 4, 4)
+    sol = jaxrt.render(scene, 1024, seed=0, method="path", max_depth=4)
+    want = 0.25 * np.array([1, 0.5, 0.25]) + 0.75 * (0.4 + 0.6 * 0.5)
+    error = np.sqrt((sol.stderr**2).mean((0, 1)) / 16)
+    assert (error < 0.01).all()
+    np.testing.assert_array_less(np.abs(sol.image.mean((0, 1)) - want), 4 * error)
+
+
 def test_emission(tmp_path):
     lamp = {"name": "lamp", "emissiveFactor": [1, 0.5, 0], "pbrMetallicRoughness": {"metallicFactor": 0}}
     lamp["extensions"] = {"KHR_materials_emissive_strength": {"emissiveStrength": 12.5}}
@@ -141,9 +166,11 @@ def test_textures(tmp_path):
     np.testing.assert_array_equal(mask.opacity.data[..., 0], [[1, 0]])
     np.testing.assert_allclose(turned.normalmap.data[0, 0] * 2 - 1, np.array([-1, 1, -1]) / np.sqrt(3), atol=1e-6)
     assert not turned.shadowed
-    np.testing.assert_allclose(shape.emission.data, [[[0, 2, 0]], [[1, 2, 3]]], atol=1e-6)
-    assert (shape.emission.filter, shape.emission.wrap) == ("bilinear", "repeat")
-    np.testing.assert_allclose(shape.emission.to_uv @ [1, 0, 1], [0.1, 0.2 - 2], atol=1e-12)
+    emission = shape.emission.first
+    assert shape.emission.second is mask.opacity  # holes do not emit
+    np.testing.assert_allclose(emission.data, [[[0, 2, 0]], [[1, 2, 3]]], atol=1e-6)
+    assert (emission.filter, emission.wrap) == ("bilinear", "repeat")
+    np.testing.assert_allclose(emission.to_uv @ [1, 0, 1], [0.1, 0.2 - 2], atol=1e-12)
     del doc["meshes"][0]["primitives"][0]["attributes"]["TEXCOORD_0"]
     scene = load_gltf(glb(tmp_path / "b.glb", doc))
     mean = [0.25 + 0.25 * GREY, GREY / 2, GREY / 2]
@@ -222,7 +249,7 @@ def test_colours_of_vertices(tmp_path):
 TEXELS = np.random.default_rng(1).integers(60, 255, (2, 2, 3, 3))
 WIDTH, HEIGHT, FOV = 32, 24, 0.6
 DIFFUSE = {"specular": {"specularFactor": 0}}
-LAMP = look_at((1, 2, 4), (0, 0, 0), (0, 1, 0)) @ np.diag([1.5, 1.5, 1, 1])
+LAMP = look_at((1, 4, 4), (0, 0, 0), (0, 1, 0)) @ np.diag([1.5, 1.5, 1, 1])
 
 
 def tilted(x, y):
@@ -324,22 +351,20 @@ def test_opaque_materials_look_as_principled_ones_of_mitsuba(tmp_path):
     """Dielectric, mixed, metal, textured and coated, the last two from behind, one of which has two sides."""
     turned = np.diag([1, -1, -1, 1])
     coat = {"clearcoat": {"clearcoatFactor": 1, "clearcoatRoughnessFactor": 0.2}, "ior": {"ior": 2.0}}
-    textures = {"base_color": linear(TEXELS[1]) * [1, 0.5, 1], "roughness": TEXELS[0][..., 1:2] / 255}
-    textures |= {"metallic": 0.5 * TEXELS[0][..., 2:] / 255}
-    plastic = {"base_color": [0.2, 0.4, 0.9], "roughness": 0.3, "eta": 1.5}
+    principled = lambda base, **more: {"type": "principled", "base_color": base, **more}
+    blue, plastic = entry([0.2, 0.4, 0.9], 0, 0.3), principled([0.2, 0.4, 0.9], roughness=0.3, eta=1.5)
+    metal = principled([0.9, 0.6, 0.3], metallic=1.0, roughness=0.4)
+    rough, metallic = TEXELS[0][..., 1:2] / 255, 0.5 * TEXELS[0][..., 2:] / 255
+    textured = principled(linear(TEXELS[1]) * [1, 0.5, 1], roughness=rough, metallic=metallic)
+    coated = principled([0.7] * 3, metallic=0.3, roughness=0.6, eta=2.0, clearcoat=1.0, clearcoat_gloss=0.06 / 0.099)
     items = [
         *ROOM,
-        ("cube", tilted(-1.7, 1), entry([0.2, 0.4, 0.9], 0, 0.3), plastic),
-        ("rectangle", tilted(0, 1), entry([0.9, 0.6, 0.3], 1, 0.4), {"base_color": [0.9, 0.6, 0.3], "metallic": 1.0, "roughness": 0.4}),
-        ("rectangle", tilted(1.7, 1), entry([1, 0.5, 1], 0.5, 1, texture=1, rough={"index": 0}), textures),
-        ("rectangle", tilted(-1.7, -1), entry([0.7, 0.7, 0.7], 0.3, 0.6, coat), {"base_color": [0.7, 0.7, 0.7], "metallic": 0.3, "roughness": 0.6, "eta": 2.0, "clearcoat": 1.0, "clearcoat_gloss": 0.06 / 0.099}),
-        ("rectangle", tilted(0, -1) @ turned, entry([0.2, 0.4, 0.9], 0, 0.3, doubleSided=True), plastic),
-        ("rectangle", tilted(1.7, -1) @ turned, entry([0.2, 0.4, 0.9], 0, 0.3), plastic),
-    ]  # fmt: skip
-    sided = lambda k, bsdf: {"type": "twosided", "bsdf": bsdf} if k == 6 else bsdf
-    items = [
-        (*item, bsdf) if isinstance(bsdf, list) or "type" in bsdf else (*item, sided(k, {"type": "principled", **bsdf}))
-        for k, (*item, bsdf) in enumerate(items)
+        ("cube", tilted(-1.7, 1), blue, plastic),
+        ("rectangle", tilted(0, 1), entry([0.9, 0.6, 0.3], 1, 0.4), metal),
+        ("rectangle", tilted(1.7, 1), entry([1, 0.5, 1], 0.5, 1, texture=1, rough={"index": 0}), textured),
+        ("rectangle", tilted(-1.7, -1), entry([0.7] * 3, 0.3, 0.6, coat), coated),
+        ("rectangle", tilted(0, -1) @ turned, blue | {"doubleSided": True}, {"type": "twosided", "bsdf": plastic}),
+        ("rectangle", tilted(1.7, -1) @ turned, blue, plastic),
     ]
     compare(tmp_path, items, 4)
 
