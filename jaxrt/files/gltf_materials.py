@@ -19,11 +19,13 @@ Tint: TypeAlias = tuple[float, ...] | int | None
 
 
 class Look(NamedTuple):
-    """A reflectance, emission as keywords of a shape, and the number of the texture coordinates that lay textures."""
+    """A reflectance, emission as keywords of a shape, the number of the texture coordinates that lay textures, and
+    whether one of those turns normals."""
 
     bsdf: Bsdf
     emission: dict[str, Any]
-    coordinates: int
+    coordinates: int = 0
+    turned: bool = False
 
 
 class Materials:
@@ -40,10 +42,12 @@ class Materials:
         if index is None:
             self.file.note("meshes without a material are made grey and diffuse")
             plain = 0.5 if tint is None else MeshAttribute(VERTEX_COLOR) if isinstance(tint, int) else tint[:3]
-            return self.made.setdefault(key, Look(Diffuse(plain), {}, 0))
+            return self.made.setdefault(key, Look(Diffuse(plain), {}))
         entry = self.file.item("materials", index)
         if key not in self.made:
-            self.made[key] = _look(MaterialEntry(self.pictures, entry, self.names[index], coordinates), tint)
+            others = sum(made[0] == index for made in self.made)
+            name = f"{self.names[index]}_{others}" if others else self.names[index]
+            self.made[key] = _look(MaterialEntry(self.pictures, entry, name, coordinates), tint)
         return self.made[key]
 
 
@@ -63,7 +67,7 @@ def _look(entry: MaterialEntry, tint: Tint) -> Look:
     if entry.left:
         entry.note(f": textures are not mapped ({', '.join(dict.fromkeys(entry.left))})")
     look = {} if emission is None else {"emission": emission, "emission_id": f"{entry.id}.emitter"}
-    return Look(bsdf, look, entry.mapped or 0)
+    return Look(bsdf, look, entry.mapped or 0, "normalTexture" in entry.entry)
 
 
 def _base(entry: MaterialEntry, tint: Tint) -> tuple[Any, Any]:

@@ -69,6 +69,9 @@ def _primitive(
         "normals": column("NORMAL", "normals", "VEC3"),
         "uvs": column(f"TEXCOORD_{look.coordinates}", "uvs", "VEC2"),
     }
+    tangents = column("TANGENT", "tangents", "VEC4")
+    if tangents is not None and look.turned and (tangents[used, 3] < 0).any():
+        file.note(f"{where} of {name!r}: where its texture coordinates are mirrored, slopes of normals are turned over")
     columns = {key: None if a is None else a[used] for key, a in columns.items()}
     return Mesh(
         id=name,

@@ -1,10 +1,10 @@
 """The metallic-roughness model of glTF 2.0, and what extensions of Khronos add to it, as reflectances of a scene.
 
 The model (appendix B) is taken as Disney's principled surface of the same base colour, metallic and roughness, with an
-index of refraction of 1.5 (F₀ = .04), as in Mitsuba 3. As metal the two differ in masking alone; a dielectric reflects
-3 to 8 % more than appendix B's near the normal, and at cosθ = .2 from 5 % less (roughness .2) to 30 % more (roughness
-1). A clear coat dims nothing below it. What transmits is mixed in: a thin sheet, or the surface of solid glass where
-there is a volume.
+index of refraction of 1.5 (F₀ = .04), as in Mitsuba 3. As metal it is that of appendix B; a dielectric reflects 3 to
+8 % more near the normal, and at cosθ = .2 from 5 % less (roughness .2) to 30 % more (roughness 1): its paint throws
+light back (Burley 2012). A clear coat dims nothing below it. What transmits is mixed in: a thin sheet, or the surface
+of solid glass where there is a volume.
 """
 
 from __future__ import annotations

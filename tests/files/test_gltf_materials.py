@@ -1,11 +1,13 @@
 """Materials of glTF: which parts they become, and that pictures are those of Mitsuba 3."""
 
+import jax
 import numpy as np
 import pytest
 from gltf_files import DATA, added, document, glb, load, picture
-from helpers import assert_same_picture, look_at
+from helpers import assert_same_picture, look_at, sphere_directions
 
 import jaxrt
+from jaxrt import brdf
 from jaxrt.files.gltf import load_gltf
 from jaxrt.parts import (
     Bitmap,
@@ -45,6 +47,23 @@ def test_factors_of_the_metallic_roughness_model(tmp_path):
     plain, _ = material(tmp_path)
     assert (plain.metallic, plain.roughness) == (1, 1)
     np.testing.assert_array_equal(plain.base_color, [1, 1, 1])
+
+
+def test_metals_are_those_of_appendix_b():
+    """D, separable G and Schlick's F of glTF 2.0, B.3, for α = roughness², in their own words."""
+    base, rough = 0.7, 0.6
+    v, w = np.abs(sphere_directions(40, 1)), sphere_directions(40, 2)
+    w[:, 2] = np.abs(w[:, 2])
+    h = (v + w) / np.linalg.norm(v + w, axis=1, keepdims=True)
+    a2, vh = rough**4, (v * h).sum(1)
+    d = a2 / (np.pi * (h[:, 2] ** 2 * (a2 - 1) + 1) ** 2)
+    g = np.prod([1 / (x[:, 2] + np.sqrt(a2 + (1 - a2) * x[:, 2] ** 2)) for x in (v, w)], 0)  # over 4 NL NV
+    want = (base + (1 - base) * (1 - vh) ** 5) * g * d
+    fields = dict.fromkeys(brdf.LOBES["principled"].fields, 0.0)
+    fields |= {"ior": 1.5, "roughness": rough, "metallic": 1.0, "reflectance": jaxrt.Spectrum((base,))}
+    eval = jax.jit(brdf.LOBES["principled"].eval)
+    got = eval(brdf.Material(**fields), *(jaxrt.Vec3(*x.astype(np.float32).T) for x in (w, v)))
+    np.testing.assert_allclose(got.channels[0], want, rtol=1e-4)
 
 
 def test_reflectance_at_normal_incidence(tmp_path):
@@ -104,6 +123,20 @@ def test_unlit_surfaces_are_as_bright_as_they_are(tmp_path):
     (shape,) = load(tmp_path, materials=[entry]).shapes
     np.testing.assert_array_equal(shape.emission, [0.2, 0.5, 1])
     np.testing.assert_array_equal(shape.bsdf.reflectance, [0])
+
+
+def test_meshes_of_one_emitting_material_and_other_colours(tmp_path):
+    """Each has an emitter of its own."""
+    doc = document()
+    doc["materials"][0]["extensions"] = {"KHR_materials_unlit": {}}
+    (one,) = doc["meshes"][0]["primitives"]
+    red, data = added(doc, DATA, np.tile(np.array([255, 0, 0], np.uint8), (5, 1)), "VEC3", normalized=True)
+    blue, data = added(doc, data, np.tile(np.array([0, 0, 255], np.uint8), (5, 1)), "VEC3", normalized=True)
+    primitives = [one | {"attributes": one["attributes"] | {"COLOR_0": k}} for k in (red, blue)]
+    doc["meshes"][0]["primitives"] = primitives
+    params = jaxrt.params(jaxrt.load(glb(tmp_path / "a.glb", doc, data)))
+    np.testing.assert_allclose(params["paint.emitter.radiance"], [0.1, 0, 0], rtol=1e-6)
+    np.testing.assert_allclose(params["paint_1.emitter.radiance"], [0, 0, 0.3], rtol=1e-6)
 
 
 @pytest.mark.slow
@@ -171,8 +204,12 @@ def test_textures(tmp_path):
     np.testing.assert_allclose(emission.data, [[[0, 2, 0]], [[1, 2, 3]]], atol=1e-6)
     assert (emission.filter, emission.wrap) == ("bilinear", "repeat")
     np.testing.assert_allclose(emission.to_uv @ [1, 0, 1], [0.1, 0.2 - 2], atol=1e-12)
+    tangents, data = added(doc, DATA, np.tile(np.array([1, 0, 0, -1], np.float32), (5, 1)), "VEC4")
+    doc["meshes"][0]["primitives"][0]["attributes"]["TANGENT"] = tangents
+    assert "are mirrored, slopes" in "".join(load_gltf(glb(tmp_path / "c.glb", doc, data)).notes)
+    del doc["meshes"][0]["primitives"][0]["attributes"]["TANGENT"]
     del doc["meshes"][0]["primitives"][0]["attributes"]["TEXCOORD_0"]
-    scene = load_gltf(glb(tmp_path / "b.glb", doc))
+    scene = load_gltf(glb(tmp_path / "b.glb", doc, data))
     mean = [0.25 + 0.25 * GREY, GREY / 2, GREY / 2]
     np.testing.assert_allclose(scene.shapes[0].bsdf.base_color, mean, rtol=1e-5)
     np.testing.assert_allclose(scene.shapes[0].emission, [0.5, 2, 1.5], rtol=1e-5)
