@@ -53,6 +53,7 @@ if TYPE_CHECKING:
         Point,
         Principled,
         PrincipledThin,
+        Product,
         Projector,
         Rectangle,
         SceneError,
@@ -78,7 +79,7 @@ _HOMES = {
     "operators": "D G K T add adjoint compose emission estimate inner neumann norm psi sub",
     "parts": "Bitmap Blend BumpMap Checkerboard Conductor Cube Cylinder Dielectric Diffuse Directional Disk"
     " Enclosure Film Group Instance Integrator Mask Mesh MeshAttribute NormalMap Null Plastic Point"
-    " Principled PrincipledThin Projector Rectangle SceneError Sensor Sphere Spot TwoSided",
+    " Principled PrincipledThin Product Projector Rectangle SceneError Sensor Sphere Spot TwoSided",
     "rules": "BrdfRule LightRule MisRule QuadratureRule",
     "sampling.sobol": "Stream",
     "scene": "Scene params with_params",
@@ -139,6 +140,7 @@ __all__ = [
     "Point",
     "Principled",
     "PrincipledThin",
+    "Product",
     "Projector",
     "QuadratureRule",
     "Rectangle",

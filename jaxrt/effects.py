@@ -136,9 +136,18 @@ def _grey(view: _View) -> bool:
     return same
 
 
+def _with_factors(numbers: np.ndarray, layout: np.ndarray) -> np.ndarray:
+    """Numbers of textures, with those that products among them are made of."""
+    products = numbers[layout[numbers, 0] == TEXTURES.index("product")]
+    return np.concatenate([numbers, layout[products, 1:3].ravel()])
+
+
 def _carriers(kind: str, layout: np.ndarray, mapped: list[str], view: _View) -> str:
     """Which parameters have textures of a kind."""
-    of_kind = np.flatnonzero(layout[:, 0] == TEXTURES.index(kind))
+    in_it = [
+        np.isin(layout[_with_factors(np.array([k]), layout), 0], TEXTURES.index(kind)).any() for k in range(len(layout))
+    ]
+    of_kind = np.flatnonzero(in_it)
     names = [f for f in mapped if np.isin(view.field(f"map:{f}"), of_kind[of_kind > 0]).any()]
     if np.isin(np.asarray(view.scene.radiance_map)[view.radiance_rows], of_kind[of_kind > 0]).any():
         names.append("radiance")
@@ -170,7 +179,8 @@ def plan(scene: Scene, free: str | Iterable[str] | None = (), *, backend: str | 
     layout, used = np.asarray(scene.textures), np.asarray(scene.radiance_map)[view.radiance_rows]
     textured_lights = bool(used.any())
     numbers = np.concatenate([used, *(view.field(f"map:{f}").ravel() for f in mapped)]).astype(int)
-    textures = tuple(k for k in TEXTURES if TEXTURES.index(k) in layout[numbers[numbers > 0], 0])
+    numbers = _with_factors(numbers[numbers > 0], layout)
+    textures = tuple(k for k in TEXTURES if TEXTURES.index(k) in layout[numbers, 0])
     anisotropic |= bool((lambda a: a[:, 0] != a[:, 1])(view.field("map:alpha")).any())
     anisotropic |= bool(view.field("anisotropic").any() or view.field("map:anisotropic").any())
 

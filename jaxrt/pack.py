@@ -9,7 +9,7 @@ import numpy as np
 
 from .brdf import LOBES, NODES, SPECTRA, MaterialColumns
 from .parts import Mesh, SceneError, Shape, TwoSided
-from .parts.textures import LUMINANCE, Bitmap, Checkerboard, MeshAttribute, Texture
+from .parts.textures import LUMINANCE, TEXTURES, Bitmap, Checkerboard, MeshAttribute, Product, Texture
 from .scene import Slot
 from .texture import table_row
 
@@ -53,7 +53,9 @@ class Textures:
         """Its row, and its mean. `name`: of the parameter that has it, on a shape whose faces count from `first`;
         `single`: whether that is one number, and not a spectrum."""
         on_mesh = isinstance(texture, MeshAttribute)
-        key = id(texture), single, id(shape) if on_mesh else 0
+        key = id(texture), single, id(shape) if texture.of_mesh else 0
+        if isinstance(texture, Product):
+            return self._product(texture, key, name, shape, first, single)
         values = self._values(texture, name, shape)
         if single and values.shape[1] == 3:
             values = values @ LUMINANCE[:, None]
@@ -69,6 +71,22 @@ class Textures:
         start = sum(map(len, self.texels[:number]))
         self._name(texture, name, start, len(values), number)
         return number, values.mean(0)
+
+    def _product(
+        self, texture: Product, key: Any, name: str, shape: Shape, first: int, single: bool
+    ) -> tuple[int, np.ndarray]:
+        """As of `number`; its row names those of its factors in place of texels."""
+        (a, left), (b, right) = (
+            self.number(factor, f"{name}.{side}", shape, first, single)
+            for side, factor in zip(("first", "second"), texture.factors, strict=True)
+        )
+        if key not in self._numbers:
+            self._kept.append(texture)
+            self._numbers[key] = len(self.layout)
+            self.layout.append([TEXTURES.index(texture.kind), a, b, 0, 0, 0])
+            self.to_uv.append(texture.to_uv.ravel())
+            self.texels.append(np.zeros((0, self.channels)))
+        return self._numbers[key], left * right
 
     def _values(self, texture: Texture, name: str, shape: Shape) -> np.ndarray:
         if not isinstance(texture, MeshAttribute):
@@ -106,7 +124,11 @@ class Materials:
             twosided, inner = True, outer if outer.back is not None else outer.bsdf
         if not hasattr(inner, "row"):
             raise SceneError(f"{shape.id or 'shape'}: {type(inner).__name__} is not a reflectance that jaxrt knows")
-        key = (id(outer), id(shape) if any(isinstance(v, MeshAttribute) for _, v in fields_of(inner)) else 0, twosided)
+        key = (
+            id(outer),
+            id(shape) if any(isinstance(v, Texture) and v.of_mesh for _, v in fields_of(inner)) else 0,
+            twosided,
+        )
         if key in self._index:
             return self._index[key]
         lobe, fields, parameters = inner.row()

@@ -1,4 +1,4 @@
-"""Textures looked up at a point: bitmaps, checkerboards, and values of a mesh's vertices or faces."""
+"""Textures looked up at a point: bitmaps, checkerboards, values of a mesh's vertices or faces, and products of two."""
 
 from __future__ import annotations
 
@@ -39,10 +39,19 @@ class Textures(eqx.Module):
 
     def at(self, index: Any, place: Place) -> Spectrum:
         """The value of texture `index` (1 or more; anything for less) at a place."""
+        value = self._plain(index, place)
+        if "product" in self.kinds:
+            layout = _row(self.layout, jnp.maximum(index, 0))
+            product = self._plain(layout[1], place) * self._plain(layout[2], place)
+            value = where(layout[0] == TEXTURES.index("product"), product, value)
+        return value
+
+    def _plain(self, index: Any, place: Place) -> Spectrum:
+        """The value of a texture that is no product."""
         layout, m = (_row(table, jnp.maximum(index, 0)) for table in (self.layout, self.to_uv))
         u, v = (m[k] * place.uv[0] + m[k + 1] * place.uv[1] + m[k + 2] for k in (0, 3))
         value = None
-        for kind in self.kinds:
+        for kind in (kind for kind in self.kinds if kind in _LOOK_UP):
             one = _LOOK_UP[kind](self.texels, layout, u, v, place)
             value = one if value is None else where(layout[0] == TEXTURES.index(kind), one, value)
         assert value is not None

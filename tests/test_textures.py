@@ -49,6 +49,30 @@ def test_derivatives_with_respect_to_a_picture(filter):
     assert float((grad * direction).sum()) == pytest.approx(float(got), rel=1e-4)
 
 
+@pytest.mark.slow
+def test_a_product_is_that_of_its_factors_at_each_point():
+    """A picture times colours of vertices that do not vary, on paint and on a lamp, is a picture of products."""
+    square = {"vertices": [[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], "faces": [[0, 1, 2], [0, 2, 3]]}
+    square |= {"uvs": [[0, 0], [1, 0], [1, 1], [0, 1]], "attributes": {"vertex_color": np.tile([0.5, 0.25, 1], (4, 1))}}
+    lamp = square | {"emission_id": "lamp", "to_world": moved(0.5, (0.9, 0.2, 1), np.diag([-1.0, 1, -1]))}
+    sensors = [camera((0.3, -1, 3), (0, 0, 0), 6, 6, 35.0)]
+
+    def seen(texture):
+        shapes = [jaxrt.Mesh(bsdf=jaxrt.Diffuse(texture, id="paint"), **square), jaxrt.Mesh(emission=texture, **lamp)]
+        scene = jaxrt.Scene.build(shapes, sensors=sensors)
+        return scene, picture(scene, jax.random.key(0), jaxrt.plan(scene), spp=16, max_depth=3)
+
+    tint = jaxrt.MeshAttribute("vertex_color")
+    scene, got = seen(jaxrt.Product(jaxrt.Bitmap(COLOURS), tint))
+    _, want = seen(jaxrt.Bitmap(COLOURS * np.array([0.5, 0.25, 1])))
+    np.testing.assert_allclose(got, want, rtol=1e-4, atol=1e-6)
+    assert float(got.max()) > 0.01
+    assert {"paint.reflectance.first.data", "paint.reflectance.second.data"} <= set(jaxrt.params(scene))
+    assert {f"texture:{kind}" for kind in ("product", "bitmap", "attribute")} <= jaxrt.plan(scene).effects
+    with pytest.raises(jaxrt.SceneError, match="two textures, not Product"):
+        jaxrt.Product(tint, jaxrt.Product(tint, tint))
+
+
 def test_derivatives_with_respect_to_a_mixture():
     scene = table(jaxrt.Blend(jaxrt.Diffuse(0.2), jaxrt.Diffuse([0.9, 0.6, 0.3]), weight=0.3, id="mix"))
     got, want = slope(scene, "mix.weight", 1.0, jaxrt.plan(scene))

@@ -17,7 +17,7 @@ from .principled import Principled, PrincipledThin
 from .reflectances import Bsdf, Conductor, Dielectric, Diffuse, Null, Plastic, Row, TwoSided
 from .sensors import Film, Sensor
 from .shapes import Cube, Cylinder, Disk, Group, Instance, Mesh, Rectangle, Shape, Sphere
-from .textures import LUMINANCE, Bitmap, Checkerboard, MeshAttribute, Texture
+from .textures import LUMINANCE, Bitmap, Checkerboard, MeshAttribute, Product, Texture
 
 
 @dataclasses.dataclass
@@ -79,6 +79,7 @@ __all__ = [
     "Point",
     "Principled",
     "PrincipledThin",
+    "Product",
     "Projector",
     "Rectangle",
     "Row",

@@ -9,7 +9,7 @@ import numpy as np
 
 from .checks import LARGEST, SceneError, check, spectrum
 
-TEXTURES = ("bitmap", "checkerboard", "attribute")
+TEXTURES = ("bitmap", "checkerboard", "attribute", "product")
 """Kinds of textures, in the order of their numbers in tables; number 0 stands for none."""
 
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
@@ -50,6 +50,11 @@ class Texture:
 
     def mean(self) -> np.ndarray:
         return self.values().astype(np.float64).mean(0)
+
+    @property
+    def of_mesh(self) -> bool:
+        """Whether its values are those of the mesh that it lies on."""
+        return False
 
 
 @dataclasses.dataclass(eq=False)
@@ -104,6 +109,10 @@ class MeshAttribute(Texture):
     def values(self) -> np.ndarray:
         return np.zeros((1, 1))  # known only with a mesh
 
+    @property
+    def of_mesh(self) -> bool:
+        return True
+
     def on(self, attributes: dict[str, np.ndarray], faces: np.ndarray, vertices: int, element: str) -> np.ndarray:
         """Values at the corners of each face, (3 F, k)."""
         found = attributes.get(self.name)
@@ -116,3 +125,36 @@ class MeshAttribute(Texture):
         want = len(faces) if per_face else vertices
         check(len(a) == want, f"{element}.{self.name}", f"has {len(a)} values; give one a face or vertex")
         return self.scale * (np.repeat(a, 3, 0) if per_face else a[faces.reshape(-1)])
+
+
+@dataclasses.dataclass(eq=False)
+class Product(Texture):
+    """Two textures, neither a product, multiplied at each point: a picture tinted by colours of vertices, say. Its own
+    `to_uv` moves neither."""
+
+    kind = "product"
+    first: Any
+    second: Any
+
+    def __post_init__(self):
+        super().__post_init__()
+        for factor in self.factors:
+            plain = isinstance(factor, Texture) and not isinstance(factor, Product)
+            check(plain, self.id or "product", f"is of two textures, not {type(factor).__name__}; give two")
+
+    @property
+    def factors(self) -> tuple[Texture, Texture]:
+        return self.first, self.second
+
+    @property
+    def of_mesh(self) -> bool:
+        return any(factor.of_mesh for factor in self.factors)
+
+    def checked(self, element: str, least: float, most: float) -> Texture:
+        for factor in self.factors:
+            factor.checked(element, least, most)
+        return self
+
+    def values(self) -> np.ndarray:
+        first, second = (factor.mean() for factor in self.factors)
+        return (first * second)[None]
