@@ -105,6 +105,9 @@ def motions(res: int = 48) -> dict[str, Callable[[], Motion]]:
     cube = lambda v: lambda t: {"cube.to_world": shifted(CUBE, jnp.asarray(v) * t)}
     v, f = icosphere()
     ball = jaxrt.Mesh(id="ball", vertices=v * 0.5 + [-0.2, 0.9, 0.1], faces=f, normals=v, bsdf=jaxrt.Diffuse(0.4))
+    sphere = jaxrt.Sphere(id="ball", center=(-0.2, 0.9, 0.1), radius=0.5, bsdf=jaxrt.Diffuse(0.4))
+    disk = jaxrt.Disk(id="disk", to_world=placed(0.4, (1.0, 1.2, 0.3), "y"), bsdf=jaxrt.TwoSided(jaxrt.Diffuse(0.6)))
+    tube = jaxrt.Cylinder(id="tube", p0=(-1.5, 0.6, 0.3), p1=(-0.9, 0.8, 1.4), radius=0.25, bsdf=jaxrt.TwoSided(jaxrt.Diffuse(0.6)))
     mirror = jaxrt.Rectangle(
         id="mirror", to_world=placed(1.2, (0.0, 1.3, -1.2), "z"), bsdf=jaxrt.Conductor(0.0, id="m")
     )
@@ -131,6 +134,7 @@ def motions(res: int = 48) -> dict[str, Callable[[], Motion]]:
         "under the sky": lambda: Motion(stage(res, lamp=0.0, enclosure=1.0), cube([1.0, 0.3, 0.3]), 2),
         "glossy floor": lambda: Motion(stage(res, floor=jaxrt.Conductor(0.3, id="gloss")), cube([1.0, 0.0, 0.3]), 3),
         "smooth ball": lambda: Motion(stage(res, cube=ball), lambda t: {"ball.vertices": jnp.asarray(v * 0.5 + [-0.2, 0.9, 0.1]) + jnp.array([1.0, 0.2, 0.3]) * t}, 2),
+        "sphere, disk, tube": lambda: Motion(stage(res, disk, tube, cube=sphere), lambda t: {"ball.center": jnp.array([-0.2, 0.9, 0.1]) + jnp.array([1.0, 0.2, 0.3]) * t, "disk.to_world": shifted(placed(0.4, (1.0, 1.2, 0.3), "y"), jnp.array([-0.5, 0.5, 0.8]) * t), "tube.p0": jnp.array([-1.5, 0.6, 0.3]) + jnp.array([0.3, 1.0, 0.0]) * t}, 2),
         "indirect, occluder": lambda: Motion(room(res), cube([1.0, 0.0, 0.3]), 4),
         "indirect, all": lambda: Motion(room(res), everything, 4),
         "hidden lamp": lambda: Motion(room(res, screen), lambda t: {"screen.to_world": shifted(placed(0.8, (0.3, 2.3, 0.2), "y"), jnp.array([1.0, 0.2, 0.0]) * t)}, 4),

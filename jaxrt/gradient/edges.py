@@ -17,8 +17,9 @@ from jaxtyping import Array, Bool, Float, Int32
 
 from .. import brdf
 from ..scene import Scene
-from ..vector import Vec3, cross, dot, normalise, safe_sqrt
+from ..vector import Vec3, cross, dot, normalise, safe_sqrt, where
 from ..world import World
+from . import curves
 
 CORNERS = {"triangle": ((0, 0), (1, 0), (0, 1)), "parallelogram": ((0, 0), (1, 0), (1, 1), (0, 1))}
 """Coordinates of a face's corners, in order."""
@@ -43,6 +44,39 @@ class Edges(eqx.Module):
     crease: Bool[Array, " E"]
     count: Int32[Array, ""]
     mirrors: Float[Array, " P"] | None  # chance of each face, by area, to be the flat mirror in which edges are seen
+    blocks: tuple[int, ...] = eqx.field(static=True)  # of faces, by kind: curved ones have outlines of their own
+
+    def faces_at(self, j: Any) -> tuple[Any, Any]:
+        """The faces at edge j, or at the curve of number j − E."""
+        row = self.faces.at[j].get(mode="clip") if len(self.faces) else jnp.zeros(2, jnp.int32)
+        faces = curves.listed(self.blocks)[1]
+        if len(faces) == 0:
+            return row[0], row[1]
+        curved, face = j >= len(self.faces), jnp.asarray(faces).at[j - len(self.faces)].get(mode="clip")
+        return jnp.where(curved, face, row[0]), jnp.where(curved, face, row[1])
+
+    def curve(self, world: World, c: Any, x: Vec3, u: Any) -> tuple[Vec3, Vec3, Vec3]:
+        """`curves.point` of curve number c."""
+        kinds, faces, names = curves.listed(self.blocks)
+        face, found = jnp.asarray(faces).at[c].get(mode="clip"), None
+        for k, name in enumerate(names):
+            one = curves.point(world, face, name, x, u)
+            found = one if found is None else where(jnp.asarray(kinds).at[c].get(mode="clip") == k, one, found)
+        assert found is not None
+        return found
+
+    def point(self, world: World, j: Any, t: Any, x: Vec3) -> Vec3:
+        """The point at t on edge j, or on the curve of number j − E as seen from x, that moves with M."""
+        y = None
+        if len(self.faces):
+            uv = self.uv.at[j].get(mode="clip")
+            on_face = uv[0] + (uv[2] - uv[0]) * t, uv[1] + (uv[3] - uv[1]) * t
+            y = edge_point(world, self.faces.at[j].get(mode="clip")[0], on_face)
+        if sum(self.blocks[2:]) == 0:
+            assert y is not None
+            return y
+        curved = self.curve(world, jnp.maximum(j - len(self.faces), 0), x, t)[0]
+        return curved if y is None else where(j >= len(self.faces), curved, y)
 
     @property
     def chance(self) -> Any:
@@ -89,11 +123,14 @@ def _numbered(*columns: Any) -> Any:
     return jnp.zeros(len(order), jnp.int32).at[order].set(jnp.cumsum(new).astype(jnp.int32))
 
 
-def edges_of(scene: Scene, world: World) -> Edges | None:
-    """The straight edges of a scene; none where it has no flat faces with corners."""
-    if sum(scene.blocks[:2]) == 0:
-        return None
+def edges_of(scene: Scene, world: World) -> Edges:
+    """Where the surfaces of a scene end, bend or turn away."""
     scene, geometry = jax.lax.stop_gradient((scene, world.geometry))
+    mirrors = _mirrors(scene, world) if brdf.has_delta(world.plan.lobes) else None
+    if sum(scene.blocks[:2]) == 0:
+        none = lambda n: jnp.zeros((0, n), geometry.dtype)
+        no = jnp.zeros(0, bool)
+        return Edges(none(6), none(6), none(4), none(2).astype(int), no, no, jnp.int32(0), mirrors, scene.blocks)
     at, face, uv, real, normals = _halves(scene)
     h = len(face)
     shape = scene.face_shape[face]
@@ -135,7 +172,8 @@ def edges_of(scene: Scene, world: World) -> Edges | None:
         border=border[keep],
         crease=(~even)[keep],
         count=there.sum(),
-        mirrors=_mirrors(scene, world) if brdf.has_delta(world.plan.lobes) else None,
+        mirrors=mirrors,
+        blocks=scene.blocks,
     )
 
 

@@ -1,7 +1,7 @@
 """The boundary term of the film: edges of M as a camera sees them, directly or in flat mirrors.
 
-dI_p = ∫ h_p(q) (L₋ − L₊) (q̇·N̂) |dq/dt| dt along the images q(t) of edges; see `visibility`. One sequence of samples for the
-whole picture; each adds to the pixels whose filters reach it.
+dI_p = ∫ h_p(q) (L₋ − L₊) (q̇·N̂) |dq/dt| dt along the images q(t) of edges; see `visibility`. One sequence of samples for
+the whole picture; each adds to the pixels whose filters reach it.
 """
 
 from __future__ import annotations
@@ -32,8 +32,8 @@ LANES = 4096
 
 
 class OnFilm(eqx.Module):
-    """Edges on the picture, as the middle of the lens sees them: lengths inside it (pixels) and their sums; `inside`: the
-    range of that, as shares of the image of the part before the near plane; `cut`: that part, as a range of t; `z`: how
+    """Edges on the picture, as the middle of the lens sees them: lengths inside it (pixels), and their sums; `inside`:
+    the range of that, as shares of the image of the part before the near plane; `cut`: that part, as a range of t; `z`: how
     far in front of the camera its ends are (m)."""
 
     long: Any
@@ -116,41 +116,49 @@ def _beside(
 
     y, light = jax.vmap(one)(jnp.array([-1.0, 1.0], world.faces.dtype))
     minus, plus = (jax.tree.map(lambda a, k=k: a[k], y) for k in (0, 1))
-    own = (minus.face == edges.faces[j, 0]) | (minus.face == edges.faces[j, 1])
+    own = (minus.face == edges.faces_at(j)[0]) | (minus.face == edges.faces_at(j)[1])
     r = jnp.where(own, minus.distance, plus.distance)
     share = owned(world, edges, j, r, 1e-3 * r, minus, plus)
     return light.map(lambda c: (c[0] - c[1]) * share)
 
 
 def picture(world: World, edges: Edges, view: Any, depths: path.Depths, seed: Any, n: int, samples: int) -> Any:
-    """The term for all pixels, (n, C): 0, with derivatives. `samples`: points on edges; half of them in mirrors, if there
-    are such."""
+    """The term for all pixels, (n, C): 0, with derivatives. `samples`: points on edges, shared among straight ones,
+    outlines of curved faces, and both in mirrors, as far as there are such."""
     fixed, plan, still = sg(world), world.plan, sg(view)
-    filter_, mirrors = still.sensor.film, edges.mirrors is not None and still.sensor.kind != "orthographic"
-    on_film = OnFilm.of(still, edges)
+    filter_, central = still.sensor.film, still.sensor.kind != "orthographic"
+    straight, curved = len(edges.ends) > 0, central and sum(edges.blocks[2:]) > 0
+    mirrors = central and edges.mirrors is not None
+    n_ways = straight + curved + mirrors
+    on_film, still_eye = OnFilm.of(still, edges), Vec3(*(still.to_world[k, 3] for k in range(3)))
     to_local, middle = jnp.linalg.inv(view.to_world), still.lens * jnp.array([1.0, 0.0, 1.0, 1.0, 1.0])
     seed, reach = combine(seed, 0xED6E), int(np.ceil(filter_[3] + 0.5))
 
     def one(i: Any) -> tuple[Any, Any]:
         s = Stream(i.astype(jnp.uint32), seed)
         lens = s.pair_at(1) if camera.uses_lens(still.sensor) else None
-        j, t, weight = on_film.choose(s.child(1).pair_at(0)[0])
+        ways, parts = s.child(2).pair_at(0)[0] * n_ways, []
+        if straight:
+            parts.append((*on_film.choose(s.child(1).pair_at(0)[0]), still_eye))
+        eye = camera.ray(still.sensor, still.to_world, middle, still.window, (0.0, 0.0), lens)[0]
+        if curved:
+            seen = choose(fixed, edges, eye, None, s.child(1), straight=False)
+            parts.append((seen.edge, seen.t, seen.weight * seen.slope, seen.x))
         image, mirror = lambda world, p: p, None
         if mirrors:
-            eye = camera.ray(still.sensor, still.to_world, middle, still.window, (0.0, 0.0), lens)[0]
             mirror = Mirror.choose(fixed, edges, eye, s.child(1).pair_at(2)[0])
-            chosen = choose(fixed, edges, eye, None, s.child(1), mirror.cone, mirror.plane)
-            meant = s.child(2).pair_at(0)[0] < 0.5
-            seen = chosen.edge, chosen.t, chosen.weight * chosen.slope * mirror.weight
-            j, t, weight = where(meant, seen, (j, t, weight))
-            weight, face = 2.0 * weight, mirror.face
+            seen = choose(fixed, edges, eye, None, s.child(1), mirror.cone, mirror.plane)
+            parts.append((seen.edge, seen.t, seen.weight * seen.slope * mirror.weight, seen.x))
+            meant, face = ways >= n_ways - 1, mirror.face
             image = lambda world, p: where(meant, edge.Plane.of(world, face).image(p), p)
             mirror = mirror, meant
-        uv = edges.uv[j]
+        j, t, weight, x = parts[0]
+        for k, part in enumerate(parts[1:], 1):
+            j, t, weight, x = where(ways >= k, part, (j, t, weight, x))
+        weight = weight * n_ways
 
         def at(view: Any, world: World, to_local: Any, t: Any) -> Any:
-            on_face = uv[0] + (uv[2] - uv[0]) * t, uv[1] + (uv[3] - uv[1]) * t
-            p = image(world, edge.edge_point(world, edges.faces[j, 0], on_face))
+            p = image(world, edges.point(world, j, t, x))
             return camera.position(view.sensor, to_local, view.lens, view.window, p, lens)
 
         ((q, z), (dq, _)) = jax.jvp(lambda t: at(still, fixed, sg(to_local), t), (t,), (jnp.ones_like(t),))

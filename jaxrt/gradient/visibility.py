@@ -1,7 +1,7 @@
 """Boundary terms: how a picture changes because what is seen changes, where samples held fixed know nothing of it.
 
-∫ f over directions of which some see past an edge and some do not has a derivative beside that of f: the edge sweeps over
-directions, and on its way replaces what lies on one side of it by what lies on the other. At a point x, with the
+∫ f over directions of which some see past an edge and some do not has a derivative beside that of f: the edge sweeps
+over directions, and on its way replaces what lies on one side of it by what lies on the other. At a point x, with the
 edge's point y = x + r ω, N̂ the normal of the plane of x and the edge, φ the angle along it:
 
     dL_o(x) = ∫ f_r cosθ (L₋ − L₊) (N̂·w)/r dφ,     w = ẏ − ẋ for directions fixed in space (reflected light R)
@@ -31,8 +31,8 @@ from ..solver import path
 from ..surface import SurfacePoint, choice, leave, radiance_of, shading_at, surface_point
 from ..vector import Spectrum, Vec3, cross, dot, length, normalise, where
 from ..world import World
+from . import curves, material
 from . import edges as edge
-from . import material
 from .edges import Edges
 
 CANDIDATES = 128
@@ -47,9 +47,12 @@ def aside(world: World, r: Any) -> Any:
 
 class Chosen(eqx.Module):
     """A direction to a point of an edge, or of its image in a mirror; `t` along the edge, and dt/dφ; the inverse of its
-    density over φ (radians), 0 if there is none."""
+    density over φ (radians), 0 if there is none; a point of M beside the edge. `x`: from where it is seen, or that
+    point's image. Edges are numbered before outlines of curved faces."""
 
     edge: Any
+    x: Vec3
+    beside: Vec3
     w: Vec3
     pole: Vec3
     r: Any
@@ -59,9 +62,7 @@ class Chosen(eqx.Module):
 
     def attached(self, world: World, edges: Edges, mirror: Any = None) -> Vec3:
         """The edge's point, or its image, that moves with M."""
-        uv, t = edges.uv[self.edge], self.t
-        on_face = uv[0] + (uv[2] - uv[0]) * t, uv[1] + (uv[3] - uv[1]) * t
-        y = edge.edge_point(world, edges.faces[self.edge, 0], on_face)
+        y = edges.point(world, self.edge, self.t, self.x)
         return y if mirror is None else edge.Plane.of(world, mirror).image(y)
 
 
@@ -74,20 +75,21 @@ def choose(
     cone: tuple[Vec3, Any] | None = None,
     plane: edge.Plane | None = None,
     creases: bool = True,
+    straight: bool = True,
 ) -> Chosen:
-    """An edge as seen from x (above the horizon of n), by the angle it takes over its distance, and an even angle along it.
+    """An edge as seen from x (above the horizon of n), by the angle it takes over its distance, and an even angle
+    along it; or an outline of a curved face, and an even place on it.
 
     `cone`: the parts of edges inside a cone of directions, (axis, sine of the half angle). `plane`: a mirror, in which
-    they are seen. Without `creases`: outlines alone.
+    they are seen. Without `creases`: outlines alone; without `straight`, those of curved faces.
     """
     u, v = s.pair_at(0)
-    total = edges.ends.shape[0]
+    total = edges.ends.shape[0] if straight else 0
     if total <= CANDIDATES:
         numbers, scale = jnp.arange(total), jnp.ones(total, world.faces.dtype)
     else:
         chance = edges.chance
-        shift = s.pair_at(1)[0]
-        at = (jnp.arange(CANDIDATES) + shift) / CANDIDATES
+        at = (jnp.arange(CANDIDATES) + s.pair_at(1)[0]) / CANDIDATES
         numbers = jnp.clip(jnp.searchsorted(jnp.cumsum(chance), at, side="right"), 0, total - 1)
         scale = 1.0 / (jnp.maximum(chance[numbers], 1e-30) * CANDIDATES)
 
@@ -99,24 +101,61 @@ def choose(
         there = seen & (j < edges.count) & (high > low)
         return jnp.where(there, scale * (high - low) / jnp.maximum(arc.distance, world.epsilon), 0.0)
 
-    weights = jax.vmap(weigh)(numbers, scale)
+    seen_from = x if plane is None else plane.image(x)
+    weights = jax.vmap(weigh)(numbers, scale) if total else jnp.zeros(0, world.faces.dtype)
+    kinds, faces, names = curves.listed(world.blocks)
+    for k, name in enumerate(names):
+        long, far = jax.vmap(lambda f, name=name: curves.size(world, f, name, seen_from))(
+            jnp.asarray(faces[kinds == k])
+        )
+        weights = jnp.concatenate([weights, long / jnp.maximum(far, world.epsilon) ** 2])
     sums = jnp.cumsum(weights)
-    k = jnp.minimum(jnp.sum(sums <= u * sums[-1]), len(numbers) - 1)
-    j, scale = numbers[k], scale[k]
+    k = jnp.minimum(jnp.sum(sums <= u * sums[-1]), len(weights) - 1)
+    chance = weights[k] / jnp.where(sums[-1] > 0, sums[-1], 1.0)
+    ok = chance > 0
+    inverse = jnp.where(ok, 1.0 / jnp.where(ok, chance, 1.0), 0.0)
+    found: Chosen | None = None
+    if total:
+        k_straight = jnp.minimum(k, total - 1)
+        found = _on_edge(world, edges, numbers[k_straight], x, n, v, cone, plane, inverse * scale[k_straight])
+    if names:
+        c = jnp.maximum(k - total, 0)
+        curved = _on_curve(world, edges, c, x, seen_from, v, plane, inverse)
+        found = curved if found is None else where(k >= total, curved, found)
+    assert found is not None
+    return found
+
+
+def _on_edge(
+    world: World, edges: Edges, j: Any, x: Vec3, n: Any, v: Any, cone: Any, plane: Any, inverse: Any
+) -> Chosen:
     p, q = edge.two_points(edges.ends[j], plane)
     arc = edge.arc_of((p, q), x, n)
     low, high = (-arc.half, arc.half) if cone is None else arc.towards(*cone)
-    chance = weights[k] / jnp.where(sums[-1] > 0, sums[-1], 1.0)
     w = arc.direction(low + (high - low) * v)
     along = q - p
-    across = cross(w, along)
-    normal = cross(p - x, along)
+    across, normal = cross(w, along), cross(p - x, along)
     r = length(normal) / jnp.maximum(length(across), 1e-30)
     t = jnp.clip(dot(x + w * r - p, along) / jnp.maximum(dot(along, along), 1e-30), 0.0, 1.0)
-    good = (chance > 0) & (high > low) & jnp.isfinite(r) & (r > 8.0 * world.epsilon)
-    weight = jnp.where(good, scale * (high - low) / jnp.where(good, chance, 1.0), 0.0)
+    good = (high > low) & jnp.isfinite(r) & (r > 8.0 * world.epsilon)
     slope = r * r / jnp.maximum(length(normal), 1e-30)
-    return Chosen(j, w, arc.pole, jnp.where(good, r, 1.0), t, slope, weight)
+    beside = edge.two_points(edges.beside[j], plane)[0]
+    weight = jnp.where(good, inverse * (high - low), 0.0)
+    return Chosen(j, x, beside, w, arc.pole, jnp.where(good, r, 1.0), t, slope, weight)
+
+
+def _on_curve(world: World, edges: Edges, c: Any, x: Vec3, seen_from: Vec3, u: Any, plane: Any, inverse: Any) -> Chosen:
+    j = c + edges.ends.shape[0]
+    image = (lambda p: p) if plane is None else plane.image
+    y, along, beside = edges.curve(world, c, seen_from, u)
+    y, along, beside = image(y), image(y + along) - image(y), image(beside)
+    to = y - x
+    r, normal = length(to), cross(to, along)
+    angle = length(normal) / jnp.maximum(r * r, 1e-30)  # dφ/du
+    good = (r > 8.0 * world.epsilon) & (angle > 0)
+    weight = jnp.where(good, inverse * angle, 0.0)
+    slope = 1.0 / jnp.maximum(angle, 1e-30)
+    return Chosen(j, seen_from, beside, normalise(to), normalise(normal), jnp.where(good, r, 1.0), u, slope, weight)
 
 
 def borders(world: World, y: Any, reach: Any) -> Any:
@@ -136,12 +175,13 @@ def owned(world: World, edges: Edges, j: Any, r: Any, reach: Any, minus: Any, pl
     All of it, if one of them is a face of the edge, which then is not hidden; half, if the other lies at the edge and
     ends there too: then that one's border is an edge of its own (walls that were built one by one).
     """
-    a, b = edges.faces[j, 0], edges.faces[j, 1]
+    a, b = edges.faces_at(j)
     own = [(y.face == a) | (y.face == b) for y in (minus, plus)]
     tie = [borders(world, y, reach) & (jnp.abs(y.distance - r) < reach) for y in (minus, plus)]
     alone = jnp.where(own[0], tie[1], tie[0])
     share = jnp.where(own[0] & own[1], 1.0, jnp.where(alone, 0.5, 1.0))
-    parted = (minus.face != plus.face) & (minus.face > -2) & (plus.face > -2)
+    parted = (minus.face != plus.face) | (jnp.abs(minus.distance - plus.distance) > reach)  # two sides of a tube
+    parted = parted & (minus.face > -2) & (plus.face > -2)
     return jnp.where((own[0] | own[1]) & parted, share, 0.0)
 
 
@@ -222,15 +262,14 @@ def shadows(world: World, edges: Edges, seen: Seen, value: Any, s: Stream) -> Sp
     sine = bounds[k, 3] / jnp.maximum(length(to), 1e-30)
     chosen = choose(fixed, edges, x, n, s, (normalise(to), sine * 1.0005 + 1e-6), creases=False)
     j, r = chosen.edge, chosen.r
-    beside = Vec3(edges.beside[j, 0], edges.beside[j, 1], edges.beside[j, 2])
-    free = jnp.where(dot(chosen.pole, beside - x) > 0, -1.0, 1.0)
+    free = jnp.where(dot(chosen.pole, chosen.beside - x) > 0, -1.0, 1.0)
     o, w, face = _look(fixed, seen, chosen, free)
     z = surface_point(fixed, face, o, w)
     _, _, hider = _look(fixed, seen, chosen, -free)
     asked = z.light_density > 0
     if bounds.shape[0] > 1:
         asked &= face == fixed.light_rows[k, 14 + plan.channels].astype(jnp.int32)
-    owner = (hider == edges.faces[j, 0]) | (hider == edges.faces[j, 1])
+    owner = (hider == edges.faces_at(j)[0]) | (hider == edges.faces_at(j)[1])
     ok = asked & owner & (face >= 0) & (z.distance > r * 1.0001) & (chosen.weight > 0)
     emitted = radiance_of(fixed, z, -w)
     scale = jnp.where(ok, -free * chosen.weight * cdf[-1] / jnp.maximum(chances[k], 1e-30) / r, 0.0)
