@@ -193,6 +193,32 @@ def test_cubes_and_rectangles_in_a_group():
         np.testing.assert_allclose(columns(a.normal)[met], columns(b.normal)[met], atol=1e-5)
 
 
+def test_groups_of_curved_shapes_are_written_out():
+    """Each shape is one of the scene then, with its own transform; a mesh beside it faces as in an instance."""
+    ball, toy = jaxrt.Sphere(id="ball", radius=0.3, center=(0, 0, 2)), group(level=1)
+    mixed = Group(id="toy", shapes=[ball, *toy.shapes])
+    scene = jaxrt.Scene.build([Instance(id=f"toy_{k}", group=mixed, to_world=m) for k, m in enumerate(PLACES[1:])])
+    assert not jaxrt.plan(scene).instances
+    assert {"ball.to_world", "ball_1.to_world"} <= set(jaxrt.params(scene)) and "toy_0.to_world" not in jaxrt.params(
+        scene
+    )
+    only = jaxrt.Scene.build([Instance(group=toy, to_world=m) for m in PLACES[1:]])
+    o, d = rays(1000)
+    a, b = (hits(s, o, d, plan=jaxrt.plan(s, backend="dense")) for s in (scene, only))
+    same = (b.face >= 0) & np.isclose(a.distance, b.distance, atol=1e-4)
+    assert same.sum() > 100
+    np.testing.assert_allclose(columns(a.normal)[same], columns(b.normal)[same], atol=1e-4)
+    np.testing.assert_allclose(columns(a.shading)[same], columns(b.shading)[same], atol=1e-3)
+    for m in PLACES[1:]:
+        middle = (m @ [0, 0, 2, 1])[:3]
+        x = hits(scene, middle + 4 * d[:64], -d[:64], plan=jaxrt.plan(scene, backend="dense"))
+        off = np.linalg.norm(columns(x.position) - middle, axis=1)
+        met = np.isclose(off, 0.3 * np.cbrt(abs(np.linalg.det(m[:3, :3]))), atol=1e-5) & (
+            x.face >= scene.offset("sphere")
+        )
+        assert met.mean() > 0.8  # but where something else stands before it
+
+
 def test_what_cannot_be_an_instance_is_refused():
     v, f = icosphere(0)
     with pytest.raises(jaxrt.SceneError, match=r"toy.lamp: emits; take it out"):

@@ -18,8 +18,10 @@ from .serialized import read_serialized
 
 def mesh(ctx: Context, element: Element, fields: dict[str, Any]) -> dict[str, Any]:
     """Normals as Mitsuba has them: the file's, else smooth ones computed in the world, else (face_normals) none."""
+    (reader, option), path = READERS[element.plugin], ctx.file(element)
+    given = option(ctx, element)
     try:
-        read = READERS[element.plugin](ctx, element)
+        read = reader(path, given)
     except parts.SceneError as problem:
         element.fail(problem)
     vertices, faces, normals = read.vertices, read.faces, read.normals
@@ -38,19 +40,12 @@ def mesh(ctx: Context, element: Element, fields: dict[str, Any]) -> dict[str, An
     return {"vertices": vertices, "faces": faces, "normals": normals, "uvs": read.uvs, "attributes": read.attributes}
 
 
-def _obj(ctx: Context, element: Element) -> MeshData:
-    return read_obj(ctx.file(element), ctx.boolean(element, "flip_tex_coords", True))
-
-
-def _ply(ctx: Context, element: Element) -> MeshData:
-    return read_ply(ctx.file(element), ctx.boolean(element, "flip_tex_coords", False))
-
-
-def _serialized(ctx: Context, element: Element) -> MeshData:
-    return read_serialized(ctx.file(element), ctx.integer(element, "shape_index", 0))
-
-
-READERS: dict[str, Callable[[Context, Element], MeshData]] = {"obj": _obj, "ply": _ply, "serialized": _serialized}
+READERS: dict[str, tuple[Callable[[Any, Any], MeshData], Callable[[Context, Element], Any]]] = {
+    "obj": (read_obj, lambda ctx, element: ctx.boolean(element, "flip_tex_coords", True)),
+    "ply": (read_ply, lambda ctx, element: ctx.boolean(element, "flip_tex_coords", False)),
+    "serialized": (read_serialized, lambda ctx, element: ctx.integer(element, "shape_index", 0)),
+}
+"""Readers of files, and of the parameter that each has."""
 
 
 def _wound(vertices: np.ndarray, faces: np.ndarray, normals: np.ndarray) -> np.ndarray:

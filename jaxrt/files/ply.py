@@ -32,7 +32,8 @@ def read_ply(path: str | Path, flip_v: bool = False) -> MeshData:
     """A PLY mesh, ASCII or binary. Polygons become fans; per-vertex `nx ny nz` and `u v` or `s t` are read, and colours
     and the like of vertices and faces, named as Mitsuba does.
 
-    `flip_v`: texture coordinates (u, 1 - v), as Mitsuba's `flip_tex_coords`. Raises `SceneError` for a file that is missing, malformed, truncated, or has data left over.
+    `flip_v`: texture coordinates (u, 1 - v), as Mitsuba's `flip_tex_coords`. Raises `SceneError` for a file that is
+    missing, malformed, truncated, or has data left over.
     """
     data = read_bytes(path)
     elements, ascii, position = _ply_header(path, data)

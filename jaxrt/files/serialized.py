@@ -11,7 +11,12 @@ import numpy as np
 from .mesh import MeshData, checked, fail, read_bytes
 
 _MAGIC, _HEADER = 0x041C, 1 << 16
-_NORMALS, _UVS, _COLOURS, _DOUBLE = 0x1, 0x2, 0x8, 0x2000  # bits of a mesh; 0x10, faces without normals, Mitsuba 3 ignores
+_NORMALS, _UVS, _COLOURS, _DOUBLE = (
+    0x1,
+    0x2,
+    0x8,
+    0x2000,
+)  # bits of a mesh; 0x10, faces without normals, Mitsuba 3 ignores
 _RATIO = 1032
 """To which DEFLATE compresses at most, so that a small file cannot ask for much memory."""
 

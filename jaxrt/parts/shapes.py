@@ -101,7 +101,11 @@ class Sphere(Shape):
         self.radius = scalar(self.radius, f"{name}.radius")
         check(self.radius > 0, f"{name}.radius", f"is {self.radius:g}; give a positive one")
         s = np.linalg.svd(self.to_world[:3, :3], compute_uv=False)
-        check(s[0] - s[2] <= 1e-4 * s[0], f"{name}.to_world", "scales unevenly; a sphere needs an even scale, or take a mesh")
+        check(
+            s[0] - s[2] <= 1e-4 * s[0],
+            f"{name}.to_world",
+            "scales unevenly; a sphere needs an even scale, or take a mesh",
+        )
 
 
 @dataclasses.dataclass(kw_only=True)
@@ -123,7 +127,11 @@ class Cylinder(Shape):
         check(self.radius > 0, f"{name}.radius", f"is {self.radius:g}; give a positive one")
         check(float(np.linalg.norm(self.p1 - self.p0)) > 0, name, "p0 and p1 coincide; give it a length")
         s = np.linalg.svd(self.to_world[:3, :3], compute_uv=False)
-        check(s[0] - s[2] <= 1e-4 * s[0], f"{name}.to_world", "scales unevenly; a cylinder needs an even scale, or take a mesh")
+        check(
+            s[0] - s[2] <= 1e-4 * s[0],
+            f"{name}.to_world",
+            "scales unevenly; a cylinder needs an even scale, or take a mesh",
+        )
 
 
 @dataclasses.dataclass(kw_only=True)

@@ -1,11 +1,13 @@
-"""PLY and OBJ: what is read, in which order, and that damaged files are refused by name."""
+"""PLY, OBJ and serialized meshes: what is read, in which order, and that damaged files are refused by name."""
 
 import struct
+import zlib
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from serialized import written
 
 from jaxrt.files.mesh import smooth_normals
 from jaxrt.files.obj import load_obj, read_obj
@@ -178,7 +180,7 @@ def test_damage_anywhere_is_refused_or_harmless(folder, data):
     assert mesh.faces.max() < len(mesh.vertices)
 
 
-@pytest.mark.parametrize("read", [read_ply, read_obj, load_ply, load_obj])
+@pytest.mark.parametrize("read", [read_ply, read_obj, load_ply, load_obj, read_serialized])
 def test_missing_files_folders_and_odd_names(tmp_path, read):
     for path in (tmp_path / "none.ply", tmp_path, "/dev/zero", "a\0b.ply", "x" * 5000):
         with pytest.raises(SceneError, match="check the path"):
@@ -330,6 +332,79 @@ def test_mtl_mistakes(tmp_path):
         write(tmp_path / "a.mtl", f"newmtl red\n{bad}\n")
         with pytest.raises(SceneError, match=r"a\.obj: red\."):
             load_obj(file)
+
+
+# ------------------------------------------------------------------------------------- serialized
+
+FULL = {
+    "vertices": SQUARE,
+    "faces": [[0, 1, 2], [2, 3, 4]],
+    "normals": SQUARE,
+    "uvs": np.ones((5, 2)),
+    "colours": SQUARE,
+}
+
+
+@pytest.mark.parametrize("version", [3, 4])
+@pytest.mark.parametrize("double", [False, True])
+def test_serialized_meshes_by_number(tmp_path, version, double):
+    bare = {"vertices": np.add(SQUARE, np.pi), "faces": [[4, 3, 2]]}
+    file = write(tmp_path / "a.serialized", written([FULL, bare, FULL], version, double))
+    for index in (0, 2):
+        mesh = read_serialized(file, index)
+        assert mesh.vertices.dtype == np.float64 and mesh.faces.dtype == np.int32
+        np.testing.assert_array_equal(mesh.vertices, SQUARE)
+        np.testing.assert_array_equal(mesh.attributes["vertex_color"], SQUARE)
+        np.testing.assert_array_equal(mesh.uvs, np.ones((5, 2)))
+        assert mesh.faces.tolist() == FULL["faces"]
+        np.testing.assert_allclose(np.linalg.norm(mesh.normals, axis=1), 1, rtol=1e-15)  # the missing one is smooth
+    mesh = read_serialized(file, 1)
+    np.testing.assert_allclose(mesh.vertices, bare["vertices"], rtol=1e-15 if double else 1e-6)
+    assert mesh.normals is None and mesh.uvs is None and not mesh.attributes
+    with pytest.raises(SceneError, match=r"no mesh of number 3; give a shape_index from 0 to 2"):
+        read_serialized(file, 3)
+
+
+def huge(vertices, triangles):
+    """A small file whose header promises much."""
+    return struct.pack("<HH", 0x041C, 4) + zlib.compress(struct.pack("<IBQQ", 0x1000, 0, vertices, triangles))
+
+
+@pytest.mark.parametrize(
+    ("content", "says"),
+    [
+        (b"", "not a serialized mesh"),
+        (b"ply\n" * 9, "not a serialized mesh"),
+        (struct.pack("<HH", 0x041C, 2) + b"0" * 9, "version 2; export it as version 4"),
+        (struct.pack("<HH", 0x041C, 4) + b"0" * 9, "damaged"),
+        (struct.pack("<HH", 0x041C, 4) + zlib.compress(b"\0\x10\0\0a name without end"), "damaged"),
+        (huge(1 << 40, 1), "damaged or ends"),
+        (huge(3, (1 << 64) - 1), "damaged or ends"),
+        (huge(3, 1), "damaged or ends"),
+        (written([FULL])[:40], "damaged or ends"),
+        (written([{"vertices": SQUARE, "faces": np.zeros((0, 3))}]), "no faces"),
+        (written([{"vertices": SQUARE, "faces": [[0, 1, 5]]}]), "outside 0..4"),
+        (written([{"vertices": np.multiply(SQUARE, np.nan), "faces": [[0, 1, 2]]}]), "vertex 0 is not finite"),
+    ],
+)
+def test_damaged_serialized_is_refused(tmp_path, content, says):
+    with pytest.raises(SceneError, match=rf"bad\.serialized: .*{says}") as error:
+        read_serialized(write(tmp_path / "bad.serialized", content))
+    assert "\n" not in str(error.value)
+
+
+@QUICK
+@given(st.data())
+def test_serialized_damage_anywhere_is_refused_or_harmless(folder, data):
+    good = bytearray(written([FULL, FULL], data.draw(st.sampled_from([3, 4])), data.draw(st.booleans())))
+    for _ in range(data.draw(st.integers(1, 3))):
+        good[data.draw(st.integers(0, len(good) - 1))] = data.draw(st.integers(0, 255))
+    keep = data.draw(st.integers(0, len(good)) | st.just(len(good)))
+    try:
+        mesh = read_serialized(write(folder / "a.serialized", bytes(good[:keep])), data.draw(st.integers(0, 2)))
+    except SceneError:
+        return
+    assert mesh.faces.max() < len(mesh.vertices)
 
 
 # ------------------------------------------------------------------------------------------- peers
