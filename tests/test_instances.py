@@ -119,7 +119,7 @@ def test_shadow_rays_meet_instances(backend):
 
 
 def test_pictures_are_those_of_shapes_written_out(short_loops):
-    one, other = scenes([SQUASHED, PLACES[2]], level=1, sensors=[camera((0, -4, 1), (0, 0, 0), 24, 18, 45.0)])
+    one, other = scenes([MIRRORED, PLACES[2]], level=1, sensors=[camera((0, -4, 1), (0, 0, 0), 24, 18, 45.0)])
     a, b = (jaxrt.render(s, 16, 0, max_depth=4).image for s in (one, other))
     close = np.abs(a - b) < 1e-3 * (1 + b)  # a path that rounding sends elsewhere counts for little
     assert close.mean() > 0.98
