@@ -115,6 +115,7 @@ def build(
             raise SceneError(f"{s.id or 'group'}: is not in the scene by itself; place it by an Instance")
         if isinstance(s, Instance):
             s.group.__post_init__()  # a shape may have been changed since
+    shapes = [e for s in shapes for e in (s.written_out() if isinstance(s, Instance) and not s.group.flat else [s])]
     instances = [s for s in shapes if isinstance(s, Instance)]
     grouped: dict[int, Group] = {id(s.group): s.group for s in instances}
     placed = [s for s in shapes if not isinstance(s, Instance)]

@@ -52,19 +52,25 @@ class Textures:
     def number(self, texture: Texture, name: str, shape: Shape, first: int, single: bool) -> tuple[int, np.ndarray]:
         """Its row, and its mean. `name`: of the parameter that has it, on a shape whose faces count from `first`;
         `single`: whether that is one number, and not a spectrum."""
-        on_mesh = isinstance(texture, MeshAttribute)
         key = id(texture), single, id(shape) if texture.of_mesh else 0
         if isinstance(texture, Product):
             return self._product(texture, key, name, shape, first, single)
-        values = self._values(texture, name, shape)
-        if single and values.shape[1] == 3:
-            values = values @ LUMINANCE[:, None]
-        values = spread(values, self.channels, f"{name}.data")
+        inner = [0, 0]
+        if isinstance(texture, Checkerboard):
+            values = np.zeros((2, self.channels))
+            for k, c in enumerate(texture.colors):
+                if isinstance(c, Texture):
+                    inner[k], values[k] = self.number(c, f"{name}.color{k}", shape, first, single)
+                else:
+                    values[k] = self._spread(c, f"{name}.color{k}", single)
+        else:
+            values = self._spread(self._values(texture, name, shape), f"{name}.data", single)
         if key not in self._numbers:
             self._kept.append(texture)
             start = sum(map(len, self.texels))
             self._numbers[key] = len(self.layout)
-            self.layout.append(table_row(texture, start - 3 * first if on_mesh else start))
+            on_mesh = isinstance(texture, MeshAttribute)
+            self.layout.append(table_row(texture, start - 3 * first if on_mesh else start, inner))
             self.to_uv.append(texture.to_uv.ravel())
             self.texels.append(values)
         number = self._numbers[key]
@@ -88,6 +94,9 @@ class Textures:
             self.texels.append(np.zeros((0, self.channels)))
         return self._numbers[key], left * right
 
+    def _spread(self, values: np.ndarray, name: str, single: bool) -> np.ndarray:
+        return spread(values @ LUMINANCE[:, None] if single and values.shape[-1] == 3 else values, self.channels, name)
+
     def _values(self, texture: Texture, name: str, shape: Shape) -> np.ndarray:
         if not isinstance(texture, MeshAttribute):
             return texture.values()
@@ -99,8 +108,9 @@ class Textures:
     def _name(self, texture: Texture, name: str, start: int, count: int, number: int) -> None:
         rows = start, start + count
         if isinstance(texture, Checkerboard):
-            self.names.add(f"{name}.color0", "texels", start)
-            self.names.add(f"{name}.color1", "texels", start + 1)
+            for k, c in enumerate(texture.colors):
+                if not isinstance(c, Texture):
+                    self.names.add(f"{name}.color{k}", "texels", start + k)
         elif isinstance(texture, Bitmap):
             self.names.add(f"{name}.data", "texels", rows, shape=(*texture.data.shape[:2], self.channels))
         else:

@@ -319,7 +319,7 @@ def prepare(scene: Scene, plan: Plan) -> World:
         present=scene.counts[0] >= 0,
         instances=instances,
         environment=Environment.of(scene, plan.environment) if plan.environment else None,
-        textures=Textures.of(scene, plan.channels, plan.textures) if plan.textures else None,
+        textures=Textures.of(scene, plan.channels, plan.textures, plan.nested) if plan.textures else None,
         plan=plan,
         inner=len(scene.materials) if plan.nodes else 0,
         blocks=scene.blocks,

@@ -8,6 +8,7 @@ from helpers import camera, moved, picture
 
 import jaxrt
 from jaxrt.environment import Environment
+from jaxrt.texture import Place, Textures
 from jaxrt.vector import Vec3
 
 pytestmark = pytest.mark.usefixtures("short_loops")
@@ -71,6 +72,27 @@ def test_a_product_is_that_of_its_factors_at_each_point():
     assert {f"texture:{kind}" for kind in ("product", "bitmap", "attribute")} <= jaxrt.plan(scene).effects
     with pytest.raises(jaxrt.SceneError, match="two textures, not Product"):
         jaxrt.Product(tint, jaxrt.Product(tint, tint))
+
+
+def test_pictures_in_a_checkerboard():
+    """What a square shows is that picture by the surface's coordinates, and a parameter by itself."""
+    inner = jaxrt.Checkerboard(0.1, jaxrt.Bitmap(COLOURS, filter="nearest"), to_uv=[[2, 0, 0], [0, 2, 0]])
+    board = jaxrt.Checkerboard(inner, 0.7)
+    scene = table(jaxrt.Diffuse(board, id="paint"))
+    plan, name = jaxrt.plan(scene), "paint.reflectance.color0.color1.data"
+    assert (plan.nested, plan.textures) == (2, ("bitmap", "checkerboard"))
+    assert "nested" in plan.effects
+    assert jaxrt.params(scene)[name].shape == (3, 4, 3)
+    assert "paint.reflectance.color0" not in jaxrt.params(scene)
+    looked_up = Textures.of(scene, 3, plan.textures, plan.nested)
+    u, v = np.random.default_rng(0).random((2, 200)).astype(np.float32)
+    at = jax.jit(jax.vmap(lambda u, v: looked_up.at(3, Place((u, v), 0, (u, v))).array()))
+    texel = COLOURS[(v * 3).astype(int), (u * 4).astype(int)]
+    first = lambda u, v: ((u % 1 > 0.5) == (v % 1 > 0.5))[:, None]
+    want = np.where(first(u, v), np.where(first(2 * u, 2 * v), 0.1, texel), 0.7)
+    np.testing.assert_allclose(at(u, v), want, rtol=1e-6)
+    got, moved_by = slope(scene, name, np.ones((3, 4, 3), np.float32), plan)
+    assert float(got) == pytest.approx(float(moved_by), rel=2e-3)
 
 
 def test_derivatives_with_respect_to_a_mixture():
@@ -155,8 +177,9 @@ def test_plans_of_textures():
     plain, painted = table(jaxrt.Diffuse(0.5)), table(jaxrt.Diffuse(jaxrt.Bitmap(COLOURS)))
     mixed, sky = table(jaxrt.Mask(jaxrt.Diffuse(0.5))), environment(COLOURS)
     plan = jaxrt.plan(plain)
-    assert (plan.textures, plan.nodes, plan.environment, plan.coordinates, plan.tangents) == (
+    assert (plan.textures, plan.nested, plan.nodes, plan.environment, plan.coordinates, plan.tangents) == (
         (),
+        0,
         (),
         None,
         False,
@@ -179,6 +202,10 @@ def test_plans_of_textures():
         (lambda: jaxrt.Bitmap(np.full((2, 2), np.nan)), "not finite"),
         (lambda: jaxrt.Bitmap(np.ones((2, 2)), wrap="never"), "is not one of repeat"),
         (lambda: jaxrt.Diffuse(jaxrt.Bitmap(np.full((2, 2), 1.5))), "at most 1"),
+        (
+            lambda: jaxrt.Diffuse(jaxrt.Checkerboard(jaxrt.Bitmap(np.full((2, 2), 1.5)))),
+            "color0.data: is 1.5; .*at most 1",
+        ),
         (lambda: jaxrt.Point(intensity=jaxrt.Bitmap(np.ones((2, 2)))), "takes no texture"),
         (lambda: jaxrt.NormalMap(jaxrt.Diffuse(), 0.5), "is no texture"),
         (lambda: jaxrt.BumpMap(jaxrt.Diffuse(), jaxrt.Checkerboard()), "is no Bitmap"),

@@ -15,7 +15,7 @@ from .mitsuba_lamps import ENCLOSURES, LAMPS, enclosure, lamp
 from .mitsuba_materials import bsdf
 from .mitsuba_nodes import OBJECTS
 from .mitsuba_sensors import integrator, sensor
-from .mitsuba_shapes import shape
+from .mitsuba_shapes import shape, unmerged
 from .mitsuba_xml import Document, Element
 
 
@@ -39,6 +39,7 @@ def _describe(document: Document) -> parts.Description:
     objects: dict[str, list[Element]] = {
         tag: list(dict.fromkeys(ctx.children(root, tag))) for tag in sorted(OBJECTS | {"spectrum"})
     }
+    objects["shape"] = unmerged(ctx, objects["shape"])
     made = [shape(ctx, element, f"shape_{i}") for i, element in enumerate(objects["shape"])]
     shapes = [s for s in made if not isinstance(s, parts.Group)]  # a group alone is not in the scene
     if not shapes:

@@ -15,7 +15,7 @@ from .indices import INDICES
 from .mitsuba_composites import READERS
 from .mitsuba_context import Context
 from .mitsuba_principled import RATES, principled, principled_thin
-from .mitsuba_textures import TEXTURES, texture
+from .mitsuba_textures import TEXTURES, as_number, texture
 from .mitsuba_xml import Element
 
 
@@ -157,7 +157,7 @@ def _rough_plastic(ctx: Context, element: Element, name: str) -> dict[str, Any]:
 def _roughness(ctx: Context, element: Element, name: str) -> Any:
     alpha = color(ctx, element, name, 0.1, "ior")
     if isinstance(alpha, parts.Texture):
-        return alpha
+        return as_number(alpha)
     alpha = np.atleast_1d(alpha)
     if (alpha != alpha[0]).any():
         element.fail(f"{name} is a colour; give a <float>")

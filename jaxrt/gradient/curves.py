@@ -55,8 +55,8 @@ def _turn(u: Any) -> tuple[Any, Any]:
 
 
 def point(world: World, face: Any, name: str, x: Vec3, u: Any) -> tuple[Vec3, Vec3, Vec3]:
-    """y(u) that moves with the face, dy/du, and a point of M (m) beside the curve. x is held fixed. No such curve:
-    dy/du is 0."""
+    """y(u) that moves with the face, dy/du, and a point of M (m) beside the curve. x and normals are held fixed. No such
+    curve: dy/du is 0."""
     o, a, b = _face(world, face)
     x, c, s = sg(x), *_turn(u)
     if name == "rim":
@@ -70,7 +70,7 @@ def point(world: World, face: Any, name: str, x: Vec3, u: Any) -> tuple[Vec3, Ve
         second, across = cross(axis, first), safe_sqrt(1.0 - share * share)
         n = axis * share + (first * c + second * s) * across
         along = (second * c - first * s) * (across * sg(radius) * 2 * np.pi)
-        return o + sg(n) * radius, sg(along), sg(o)
+        return o + n * radius, sg(along), sg(o)
     if name in ("foot", "top"):
         beside = cross(normalise(a), b)
         y = o + b * c + beside * s + (a if name == "top" else a * 0.0)

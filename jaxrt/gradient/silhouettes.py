@@ -33,8 +33,8 @@ LANES = 4096
 
 class OnFilm(eqx.Module):
     """Edges on the picture, as the middle of the lens sees them: lengths inside it (pixels), and their sums; `inside`:
-    the range of that, as shares of the image of the part before the near plane; `cut`: that part, as a range of t; `z`: how
-    far in front of the camera its ends are (m)."""
+    the range of that, as shares of the image of the part before the near plane; `cut`: that part, as a range of t;
+    `z`: how far in front of the camera its ends are (m)."""
 
     long: Any
     sums: Any

@@ -7,7 +7,7 @@ from typing import Any, ClassVar, Literal
 
 import numpy as np
 
-from .checks import LARGEST, SceneError, check, spectrum
+from .checks import LARGEST, SceneError, check, spectrum, varying
 
 TEXTURES = ("bitmap", "checkerboard", "attribute", "product")
 """Kinds of textures, in the order of their numbers in tables; number 0 stands for none."""
@@ -39,6 +39,11 @@ class Texture:
     def __post_init__(self):
         self.to_uv = _placed(self.to_uv, f"{self.id or type(self).__name__.lower()}.to_uv")
 
+    @property
+    def of_mesh(self) -> bool:
+        """Whether its values are a mesh's."""
+        return False
+
     def values(self) -> np.ndarray:
         """All values that it has, (N, 1 or C)."""
         raise NotImplementedError
@@ -50,11 +55,6 @@ class Texture:
 
     def mean(self) -> np.ndarray:
         return self.values().astype(np.float64).mean(0)
-
-    @property
-    def of_mesh(self) -> bool:
-        """Whether its values are those of the mesh that it lies on."""
-        return False
 
 
 @dataclasses.dataclass(eq=False)
@@ -83,7 +83,7 @@ class Bitmap(Texture):
 
 @dataclasses.dataclass(eq=False)
 class Checkerboard(Texture):
-    """Squares of two colours, two by two to a unit of u and v."""
+    """Squares of two colours, two by two to a unit of u and v. Either may be a texture, with a `to_uv` of its own."""
 
     kind = "checkerboard"
     color0: Any = 0.4
@@ -92,10 +92,24 @@ class Checkerboard(Texture):
     def __post_init__(self):
         super().__post_init__()
         name = self.id or "checkerboard"
-        self.color0, self.color1 = (spectrum(getattr(self, k), f"{name}.{k}") for k in ("color0", "color1"))
+        self.color0, self.color1 = (varying(getattr(self, k), f"{name}.{k}") for k in ("color0", "color1"))
+
+    @property
+    def colors(self) -> tuple[Any, Any]:
+        return self.color0, self.color1
+
+    @property
+    def of_mesh(self) -> bool:
+        return any(isinstance(c, Texture) and c.of_mesh for c in self.colors)
 
     def values(self) -> np.ndarray:
-        return np.stack(np.broadcast_arrays(self.color0, self.color1))
+        """Both colours; of a texture, its mean."""
+        return np.stack(np.broadcast_arrays(*(c.mean() if isinstance(c, Texture) else c for c in self.colors)))
+
+    def checked(self, element: str, least: float, most: float) -> Texture:
+        for k, c in enumerate(self.colors):
+            varying(c, f"{element}.color{k}", least=least, most=most)
+        return self
 
 
 @dataclasses.dataclass(eq=False)

@@ -69,8 +69,8 @@ def ray(
 def position(
     sensor: SensorStructure, to_local: Any, lens: Any, window: Any, p: Vec3, u: Any
 ) -> tuple[tuple[Any, Any], Any]:
-    """Where on the picture (pixels) a point of the world lies, seen through the place u of the lens, and how far in front
-    of the camera (m). The inverse of `ray`; `to_local` that of the sensor's `to_world`."""
+    """Where on the picture (pixels) a point of the world lies, seen through the place u of the lens, and how far in
+    front of the camera (m). The inverse of `ray`; `to_local` that of the sensor's `to_world`."""
     left, top, width, height = (window[k] for k in range(4))
     aspect = width / height
     p = transform_point(to_local, p)
