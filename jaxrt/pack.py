@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from .brdf import LOBES, NODES, SPECTRA, MaterialColumns
-from .parts import Mesh, SceneError, Shape, TwoSided
+from .parts import Mesh, PhotometricWeb, SceneError, Shape, TwoSided
 from .parts.textures import LUMINANCE, Bitmap, Checkerboard, MeshAttribute, Texture
 from .scene import Slot
 from .texture import table_row
@@ -68,7 +68,7 @@ class Textures:
         number = self._numbers[key]
         start = sum(map(len, self.texels[:number]))
         self._name(texture, name, start, len(values), number)
-        return number, values.mean(0)
+        return number, texture.average(values)
 
     def _values(self, texture: Texture, name: str, shape: Shape) -> np.ndarray:
         if not isinstance(texture, MeshAttribute):
@@ -80,6 +80,10 @@ class Textures:
 
     def _name(self, texture: Texture, name: str, start: int, count: int, number: int) -> None:
         rows = start, start + count
+        if isinstance(texture, PhotometricWeb):
+            h, v = texture.data.shape[:2]
+            self.names.add(f"{name}.data", "texels", (start + v + h, start + count), shape=(h, v, self.channels))
+            return
         if isinstance(texture, Checkerboard):
             self.names.add(f"{name}.color0", "texels", start)
             self.names.add(f"{name}.color1", "texels", start + 1)

@@ -8,6 +8,7 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from .parts.textures import FILTERS, TEXTURES, WRAPS, Bitmap, Texture
+from .parts.web import PhotometricWeb
 from .vector import Spectrum, where
 
 if TYPE_CHECKING:
@@ -114,6 +115,8 @@ _LOOK_UP = {"bitmap": _bitmap, "checkerboard": _checkerboard, "attribute": _attr
 
 def table_row(texture: Texture, offset: int) -> list[int]:
     """The row of a texture in the table of whole numbers; `offset`: of its first texel."""
+    if isinstance(texture, PhotometricWeb):  # which no surface has; see emitter.goniometric
+        return [-1, offset, len(texture.vertical), len(texture.horizontal), 0, 0]
     kind = TEXTURES.index(texture.kind)
     if not isinstance(texture, Bitmap):
         return [kind, offset, 1, 1, 0, 0]

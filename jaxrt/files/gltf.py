@@ -20,27 +20,15 @@ from urllib.parse import unquote
 
 import numpy as np
 
-from ..parts import (
-    Description,
-    Directional,
-    Film,
-    Group,
-    Instance,
-    Lamp,
-    Mesh,
-    Point,
-    SceneError,
-    Sensor,
-    Spot,
-    matrix,
-)
+from ..parts import Description, Film, Group, Instance, Lamp, Mesh, SceneError, Sensor, matrix
+from .gltf_lamps import LAMPS
 from .gltf_materials import Materials
 from .mesh import fail, listed, read_bytes
 
 SHARED = 4096
 """Triangles that sharing a mesh has to save before its nodes become instances, whose hits cost a little more."""
 
-_KNOWN = {"KHR_materials_emissive_strength", "KHR_mesh_quantization", "KHR_lights_punctual", "KHR_texture_transform"}
+_KNOWN = {"KHR_materials_emissive_strength", "KHR_mesh_quantization", "KHR_texture_transform", *LAMPS}
 _NOTED = {"KHR_texture_basisu", "EXT_texture_webp", "KHR_xmp_json_ld"}
 _COMPONENTS = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}  # 3.6.2.2
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
@@ -136,22 +124,35 @@ class _File:
             uri, size = entry.get("uri"), self.integer(entry, "byteLength", where=f"buffers[{index}].")
             if uri is None and index == 0 and self.binary is not None:
                 data = self.binary
-            elif not isinstance(uri, str):
-                self.fail(f"buffers[{index}] has no data; export it again")
-            elif uri.startswith("data:"):
-                try:
-                    data = base64.b64decode(uri.partition(",")[2])
-                except (binascii.Error, ValueError):
-                    self.fail(f"buffers[{index}] holds damaged base64 data; export it again")
-            elif "://" in uri:
-                self.fail(f"buffers[{index}] is at {uri[:60]}; download it and refer to the local file")
             else:
-                data = read_bytes(Path(self.path).parent / unquote(uri))
+                data = self.content(uri, f"buffers[{index}]")
             if len(data) < size:
                 self.fail(f"buffers[{index}] has {len(data)} bytes of {size}; it is truncated, export it again")
             self.buffers[index] = data[:size]
             self.budget += 64 * size
         return self.buffers[index]
+
+    def content(self, uri: Any, where: str) -> bytes:
+        """What stands at the URI of `where`, or in it."""
+        if not isinstance(uri, str):
+            self.fail(f"{where} has no data; export it again")
+        if uri.startswith("data:"):
+            try:
+                return base64.b64decode(uri.partition(",")[2])
+            except (binascii.Error, ValueError):
+                self.fail(f"{where} holds damaged base64 data; export it again")
+        if "://" in uri:
+            self.fail(f"{where} is at {uri[:60]}; download it and refer to the local file")
+        return read_bytes(Path(self.path).parent / unquote(uri))
+
+    def view(self, index: Any) -> tuple[memoryview, dict[str, Any]]:
+        """The bytes of a buffer view (3.6.1), and what the JSON says of it."""
+        entry, where = self.item("bufferViews", index), f"bufferViews[{index}]."
+        data = memoryview(self.buffer(self.integer(entry, "buffer", where=where)))
+        first, length = self.integer(entry, "byteOffset", 0, where), self.integer(entry, "byteLength", where=where)
+        if first + length > len(data):
+            self.fail(f"{where[:-1]} lies outside of its buffer; it is truncated, export it again")
+        return data[first : first + length], entry
 
     def spend(self, corners: int) -> None:
         self.budget -= corners
@@ -169,18 +170,15 @@ class _File:
             )
         if "sparse" in entry or "bufferView" not in entry:
             self.fail(f"{where[:-1]} has sparse or compressed data; export it without")
-        view, width = self.item("bufferViews", entry["bufferView"]), _WIDTHS[kind]
-        of = f"bufferViews[{entry['bufferView']}]."
-        data = self.buffer(self.integer(view, "buffer", where=of))
-        first, length = self.integer(view, "byteOffset", 0, of), self.integer(view, "byteLength", where=of)
+        (data, view), width = self.view(entry["bufferView"]), _WIDTHS[kind]
         dtype = np.dtype(_COMPONENTS[component])
         size = dtype.itemsize * width
-        stride = self.integer(view, "byteStride", size, of)
+        stride = self.integer(view, "byteStride", size, f"bufferViews[{entry['bufferView']}].")
         last = start + stride * (count - 1) + size
-        if not count or stride < size or last > length or first + length > len(data):
+        if not count or stride < size or last > len(data):
             self.fail(f"{where[:-1]} lies outside of its buffer; it is truncated, export it again")
         if index not in self.arrays:
-            a = np.ndarray((count, width), dtype, data, first + start, (stride, dtype.itemsize))
+            a = np.ndarray((count, width), dtype, data, start, (stride, dtype.itemsize))
             if entry.get("normalized") is True and dtype.kind in "iu":
                 a = np.maximum(a / np.iinfo(dtype).max, -1.0)
             self.arrays[index] = a
@@ -213,8 +211,9 @@ def _load(file: _File) -> Description:
     lamps, hidden = cast(list[Lamp], []), []
     for number, node, to_world in _nodes(file):
         name = file.name(node, f"node_{number}")
-        if "KHR_lights_punctual" in file.entry(node, "extensions"):
-            lamps.append(_lamp(file, file.entry(node["extensions"], "KHR_lights_punctual"), name, to_world))
+        for extension, make in LAMPS.items():
+            if extension in file.entry(node, "extensions"):
+                lamps.append(make(file, file.entry(node["extensions"], extension), name, to_world))
         if not ("mesh" in node or "camera" in node):
             continue
         if np.linalg.det(to_world[:3, :3]) == 0:  # a usual way to hide something
@@ -361,30 +360,6 @@ def _triangles(corners: np.ndarray, mode: int) -> np.ndarray:
     i = np.arange(len(corners) - 2)
     order = (i, i + 1 + i % 2, i + 2 - i % 2) if mode == 5 else (i + 1, i + 2, 0 * i)
     return corners[np.stack(order, 1)]
-
-
-def _lamp(file: _File, entry: dict[str, Any], name: str, to_world: np.ndarray) -> Lamp:
-    """A light of KHR_lights_punctual, which shines along −z. Candela and lux are taken as W/sr and W/m², as nits are
-    as radiance."""
-    table = file.table(file.entry(file.entry(file.json, "extensions"), "KHR_lights_punctual"), "lights")
-    index = file.integer(entry, "light", where=f"{name}.")
-    if index >= len(table) or not isinstance(table[index], dict):
-        file.fail(f"there is no light {index} among {len(table)}; export it again")
-    light, where = table[index], f"light {index}"
-    bright = file.numbers(light, "color", [1.0, 1.0, 1.0], where) * file.numbers(light, "intensity", 1.0, where)
-    along, position, kind = -to_world[:3, 2], to_world[:3, 3], light.get("type")
-    if kind == "directional":
-        return Directional(along, bright, id=name)
-    if kind == "point":
-        return Point(position, bright, id=name)
-    if kind != "spot":
-        file.fail(f"{where} is of type {str(kind)[:20]!r}, not directional, point or spot; export it again")
-    cone = file.entry(light, "spot")
-    inner, outer = (
-        math.degrees(float(file.numbers(cone, key, default, where)))
-        for key, default in (("innerConeAngle", 0.0), ("outerConeAngle", math.pi / 4))
-    )
-    return Spot(position, bright, direction=along, cutoff_angle=outer, beam_width=inner, id=name)
 
 
 def _sensor(file: _File, index: int, name: str, to_world: np.ndarray) -> Sensor:
