@@ -80,7 +80,7 @@ def uniform_cone(u: tuple[Any, Any], one_minus_cos: Any) -> Vec3:
 def invert(at: Callable[[Any], Any], n: Any, most: int, u: Any) -> tuple[Any, Any]:
     """The first of n numbers at(0) ≤ at(1) ≤ ... that exceeds u, and where u lies between the one before (before the
     first: 0) and it, in [0, 1). `most`: the largest n that there may be."""
-    low, high = jnp.zeros_like(u, jnp.int32), jnp.zeros_like(u, jnp.int32) + (n - 1)
+    low, high = jnp.zeros_like(u, jnp.int32), jnp.full_like(u, n - 1, jnp.int32)
     for _ in range(max(most - 1, 1).bit_length()):
         middle = (low + high) // 2
         above = at(middle) > u

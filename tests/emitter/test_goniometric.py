@@ -84,7 +84,7 @@ def test_flux_and_choice_by_it():
 X, UP = np.array([1.0, 2.0, 0.01]), np.array([0.0, 0.0, 1.0])
 
 
-def test_irradiance_and_derivatives():
+def test_irradiance_and_derivatives(short_loops):
     """I cosθ/d² under a turned lamp; linear in the web's values; dE/dp against finite differences; and beside others."""
     pose, web = look_at((0, 0, 3), (0.3, 0.4, 0), (0, 1, 0)), web_of("none")
     lamps = [jaxrt.Goniometric(web, pose, id="lamp"), jaxrt.Point((1, 0, 2), 2.0)]
