@@ -48,6 +48,7 @@ class Plan:
     smooth_normals: bool
     light_kinds: tuple[str, ...]  # kinds of faces that emit
     lamp_kinds: tuple[str, ...]  # of lamps without extent
+    web: int  # angles of the finest photometric web
     many_lights: bool
     solid_angle: bool  # whether flat lights are sampled by it
     area_light: bool
@@ -180,6 +181,7 @@ def plan(scene: Scene, free: str | Iterable[str] | None = (), *, backend: str | 
     grey = _grey(view)
     mapped = [f for f in MAPPED if view.field(f"map:{f}").any()]
     layout, used = np.asarray(scene.textures), np.asarray(scene.radiance_map)[view.radiance_rows]
+    webs, used = used[layout[used, 0] < 0], used[layout[used, 0] >= 0]
     textured_lights = bool(used.any())
     numbers = np.concatenate([used, *(view.field(f"map:{f}").ravel() for f in mapped)]).astype(int)
     levels = [_with_factors(numbers[numbers > 0], layout)]
@@ -192,6 +194,8 @@ def plan(scene: Scene, free: str | Iterable[str] | None = (), *, backend: str | 
 
     shape_emitter = view.array["finishes"][view.array["shape_finish"], 1]
     dark = {r for r in view.radiance_rows if view.fixed("radiance", r) and not view.array["radiance"][r].any()}
+    if not view.fixed("texels"):
+        dark -= set(np.flatnonzero(np.asarray(scene.radiance_map)))
     lights = view.lights[view.lights >= 0]
     emitting = bool(set(shape_emitter[view.face_shape[lights]].tolist()) - dark)
     lamp_rows = np.asarray(scene.lamp_radiance)
@@ -298,6 +302,7 @@ def plan(scene: Scene, free: str | Iterable[str] | None = (), *, backend: str | 
         smooth_normals=chosen["smooth_normals"],
         light_kinds=tuple(k for k in KINDS if k in kinds_of_lights) if sampled else (),
         lamp_kinds=lamps_in,
+        web=int(layout[webs, 2:4].max(initial=0)) if "goniometric" in lamps_in else 0,
         many_lights=n_lights > 1,
         solid_angle=chosen["solid_angle"],
         area_light=chosen["area_light"],

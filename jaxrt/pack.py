@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from .brdf import LOBES, NODES, SPECTRA, MaterialColumns
-from .parts import Mesh, SceneError, Shape, TwoSided
+from .parts import Mesh, PhotometricWeb, SceneError, Shape, TwoSided
 from .parts.textures import LUMINANCE, TEXTURES, Bitmap, Checkerboard, MeshAttribute, Product, Texture
 from .scene import Slot
 from .texture import table_row
@@ -76,7 +76,7 @@ class Textures:
         number = self._numbers[key]
         start = sum(map(len, self.texels[:number]))
         self._name(texture, name, start, len(values), number)
-        return number, values.mean(0)
+        return number, texture.average(values)
 
     def _product(
         self, texture: Product, key: Any, name: str, shape: Shape, first: int, single: bool
@@ -107,6 +107,10 @@ class Textures:
 
     def _name(self, texture: Texture, name: str, start: int, count: int, number: int) -> None:
         rows = start, start + count
+        if isinstance(texture, PhotometricWeb):
+            h, v = texture.data.shape[:2]
+            self.names.add(f"{name}.data", "texels", (start + v + h, start + count), shape=(h, v, self.channels))
+            return
         if isinstance(texture, Checkerboard):
             for k, c in enumerate(texture.colors):
                 if not isinstance(c, Texture):

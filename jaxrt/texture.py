@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from .parts.textures import FILTERS, TEXTURES, WRAPS, Bitmap, Texture
+from .parts.web import PhotometricWeb
 from .vector import Spectrum, where
 
 if TYPE_CHECKING:
@@ -147,6 +148,8 @@ _LOOK_UP = {"bitmap": _bitmap, "checkerboard": _checkerboard, "attribute": _attr
 def table_row(texture: Texture, offset: int, inner: Sequence[int]) -> list[int]:
     """The row of a texture in the table of whole numbers; `offset`: of its first texel; `inner`: numbers of the
     textures of a checkerboard."""
+    if isinstance(texture, PhotometricWeb):  # which no surface has; see emitter.goniometric
+        return [-1, offset, len(texture.vertical), len(texture.horizontal), 0, 0]
     kind = TEXTURES.index(texture.kind)
     if not isinstance(texture, Bitmap):
         return [kind, offset, 1, 1, *inner]

@@ -16,9 +16,10 @@ import numpy as np
 
 from ..parts import Description, Group, Instance, Lamp, Mesh, SceneError, Sensor, matrix
 from .gltf_document import KNOWN, Document
+from .gltf_lamps import LAMPS
 from .gltf_materials import Materials
 from .gltf_meshes import primitives, unmirrored
-from .gltf_nodes import copies, lamp, nodes, sensor
+from .gltf_nodes import copies, nodes, sensor
 from .mesh import listed
 
 SHARED = 4096
@@ -51,8 +52,9 @@ def _load(file: Document) -> Description:
     lamps, hidden = cast(list[Lamp], []), []
     for number, node, to_world in nodes(file):
         name, where = file.name(node, f"node_{number}"), f"nodes[{number}]"
-        if "KHR_lights_punctual" in file.entry(node, "extensions"):
-            lamps.append(lamp(file, file.extension(node, "KHR_lights_punctual"), name, to_world))
+        for extension, make in LAMPS.items():
+            if extension in file.entry(node, "extensions"):
+                lamps.append(make(file, file.extension(node, extension), name, to_world))
         if not ("mesh" in node or "camera" in node):
             continue
         if np.linalg.det(to_world[:3, :3]) == 0:  # a usual way to hide something

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from ..parts import Directional, Film, Lamp, Point, Sensor, Spot
+from ..parts import Film, Sensor
 from .gltf_document import Document
 
 _CAMERA = np.diag([-1.0, 1.0, -1.0, 1.0])  # theirs looks along −z with +x right, ours along +z with +x left
@@ -77,30 +77,6 @@ def copies(file: Document, node: dict[str, Any], where: str) -> list[np.ndarray]
     file.spend(16 * count)
     rows = [found.get(key, np.tile(default, (count, 1))).astype(np.float64) for key, (_, default) in kinds.items()]
     return [_placed(file, t, q, s, f"{where}.instance") for t, q, s in zip(*rows, strict=True)]
-
-
-def lamp(file: Document, entry: dict[str, Any], name: str, to_world: np.ndarray) -> Lamp:
-    """A light of KHR_lights_punctual, which shines along −z. Candela and lux are taken as W/sr and W/m², as nits are
-    as radiance."""
-    table = file.table(file.extension(file.json, "KHR_lights_punctual"), "lights")
-    index = file.integer(entry, "light", where=f"{name}.")
-    if index >= len(table) or not isinstance(table[index], dict):
-        file.fail(f"there is no light {index} among {len(table)}; export it again")
-    light, where = table[index], f"light {index}"
-    bright = file.numbers(light, "color", [1.0, 1.0, 1.0], where) * file.numbers(light, "intensity", 1.0, where)
-    along, position, kind = -to_world[:3, 2], to_world[:3, 3], light.get("type")
-    if kind == "directional":
-        return Directional(along, bright, id=name)
-    if kind == "point":
-        return Point(position, bright, id=name)
-    if kind != "spot":
-        file.fail(f"{where} is of type {str(kind)[:20]!r}, not directional, point or spot; export it again")
-    cone = file.entry(light, "spot")
-    inner, outer = (
-        math.degrees(float(file.numbers(cone, key, default, where)))
-        for key, default in (("innerConeAngle", 0.0), ("outerConeAngle", math.pi / 4))
-    )
-    return Spot(position, bright, direction=along, cutoff_angle=outer, beam_width=inner, id=name)
 
 
 def sensor(file: Document, index: int, name: str, to_world: np.ndarray) -> Sensor:

@@ -41,7 +41,7 @@ def _shape(ctx: Context, element: Element, place: str) -> parts.Shape:
     emitter, reflector = ctx.child(element, "emitter"), ctx.child(element, "bsdf")
     emission, emission_id = area_emission(ctx, emitter, f"{name}.emitter") if emitter else (None, "")
     # without a BSDF, Mitsuba's emitters are black and other shapes are diffuse
-    default = parts.Diffuse(0.5 if emission is None else 0.0, id=f"{name}.bsdf")
+    default = parts.Diffuse(0.5 if emitter is None else 0.0, id=f"{name}.bsdf")
     fields: dict[str, Any] = {
         "id": name,
         "to_world": ctx.transform(element),

@@ -55,8 +55,10 @@ def _turn(u: Any) -> tuple[Any, Any]:
 
 
 def point(world: World, face: Any, name: str, x: Vec3, u: Any) -> tuple[Vec3, Vec3, Vec3]:
-    """y(u) that moves with the face, dy/du, and a point of M (m) beside the curve. x and normals are held fixed. No such
-    curve: dy/du is 0."""
+    """y(u) that moves with the face, dy/du, and a point of M (m) beside the curve; x and normals are held fixed.
+
+    Where there is no such curve dy/du is 0.
+    """
     o, a, b = _face(world, face)
     x, c, s = sg(x), *_turn(u)
     if name == "rim":

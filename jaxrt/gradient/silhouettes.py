@@ -137,7 +137,8 @@ def picture(world: World, edges: Edges, view: Any, depths: path.Depths, seed: An
     def one(i: Any) -> tuple[Any, Any]:
         s = Stream(i.astype(jnp.uint32), seed)
         lens = s.pair_at(1) if camera.uses_lens(still.sensor) else None
-        ways, parts = s.child(2).pair_at(0)[0] * n_ways, []
+        ways = s.child(2).pair_at(0)[0] * n_ways
+        parts: list[tuple[Any, Any, Any, Any]] = []
         if straight:
             parts.append((*on_film.choose(s.child(1).pair_at(0)[0]), still_eye))
         eye = camera.ray(still.sensor, still.to_world, middle, still.window, (0.0, 0.0), lens)[0]

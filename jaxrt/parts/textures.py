@@ -53,8 +53,12 @@ class Texture:
             spectrum(v, f"{element}.data", least=least, most=most)
         return self
 
+    def average(self, values: np.ndarray) -> np.ndarray:
+        """The mean of values like its own ones."""
+        return values.mean(0)
+
     def mean(self) -> np.ndarray:
-        return self.values().astype(np.float64).mean(0)
+        return self.average(self.values().astype(np.float64))
 
 
 @dataclasses.dataclass(eq=False)

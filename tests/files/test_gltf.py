@@ -238,6 +238,39 @@ def test_lights(tmp_path):
             load(tmp_path, nodes=nodes, extensions={"KHR_lights_punctual": {"lights": lights}})
 
 
+def test_measured_lights(tmp_path):
+    """EXT_lights_ies: vertical angle 0 is −z of the node, horizontal angle 0 is +x and 90 is +y."""
+    numbers = "1 -1 1 3 2 1 2 0 0 0 1 1 0  0 90 180  0 90  7 8 1 7 9 1"
+    (tmp_path / "a lamp.ies").write_text(f"IESNA:LM-63-2002\nTILT=NONE\n{numbers}")
+    data = base64.b64encode((tmp_path / "a lamp.ies").read_bytes()).decode()
+    lights = [{"uri": "a%20lamp.ies"}, {"uri": f"data:application/x-ies-lm-63;base64,{data}"}, {"bufferView": 4}]
+    turn = [0, np.sin(np.pi / 4), 0, np.cos(np.pi / 4)]  # −z becomes −x, and +x −z
+    more = [{"multiplier": 2, "color": [1, 0.5, 3]}, {}, {}]
+    nodes = [{"mesh": 0, "children": [1, 2, 3]}]
+    nodes += [
+        {"translation": [1, 2, 3], "rotation": turn, "extensions": {"EXT_lights_ies": {"light": k, **more[k]}}}
+        for k in range(3)
+    ]
+    views = [*document()["bufferViews"], {"buffer": 1, "byteOffset": 0, "byteLength": len(base64.b64decode(data))}]
+    buffers = [*document()["buffers"], {"uri": f"data:,{data}", "byteLength": len(base64.b64decode(data))}]
+    extras = {"bufferViews": views, "buffers": buffers, "extensionsRequired": ["EXT_lights_ies"]}
+    profiles = lambda lights: {"extensions": {"EXT_lights_ies": {"lights": lights}}}
+    lamps = load(tmp_path, nodes=nodes, **extras, **profiles(lights)).lamps
+    for lamp, scale in zip(lamps, [[2, 1, 2], [1, 1, 1], [1, 1, 1]], strict=True):
+        np.testing.assert_allclose(lamp.intensity.data[:, :, None] / scale, np.array([[7, 8, 1], [7, 9, 1]])[..., None, None] * [1, 1, 1])  # fmt: skip
+        place = np.array([[0, 0, -1, 1], [1, 0, 0, 2], [0, -1, 0, 3]])  # +x, +y, +z of the lamp's own space
+        np.testing.assert_allclose(
+            lamp.to_world[:3] - [[0, 0, -1, 1], [1, 0, 0, 2], [0, -1, 0, 3]], 0 * place, atol=1e-12
+        )
+    for wrong, says in (
+        ({"uri": "b.ies"}, "no such file"),
+        ({}, "light 2 has no data"),
+        ({"bufferView": 9}, "no bufferViews"),
+    ):
+        with pytest.raises(SceneError, match=says):
+            load(tmp_path, nodes=nodes, **extras, **profiles([*lights[:2], wrong]))
+
+
 def test_what_is_left_out_is_named(tmp_path):
     doc = document(
         textures=[{"source": 0}],

@@ -134,6 +134,18 @@ def test_shared_emitter_has_one_name(load):
     assert a.emission is b.emission and a.emission.tolist() == [1, 2, 3]
 
 
+def test_emitters_that_only_light_tracing_sees_are_dark_and_said(load):
+    lamp = '<emitter type="directionalarea" id="beam"><float name="radiance" value="9"/></emitter>'
+    made = load(
+        lamp
+        + '<shape type="sphere"><ref id="beam"/></shape><shape type="cube"><ref id="beam"/><bsdf type="diffuse"/></shape>'
+    )
+    assert [s.emission for s in made.shapes] == [None, None]
+    assert [float(np.mean(s.bsdf.reflectance)) for s in made.shapes] == [0.0, 0.5]
+    assert len(made.notes) == 1
+    assert "is seen by light tracing alone" in made.notes[0]
+
+
 def test_missing_reference_names_the_closest(refused):
     message = refused('<bsdf type="diffuse" id="white"/><shape type="sphere"><ref id="whit"/></shape>')
     assert message == "scene.xml:2: <ref>: no element has id 'whit'; did you mean white?"
@@ -360,7 +372,22 @@ def test_bytes_that_are_no_text(tmp_path):
             "moves with its shape",
         ),
         ('<emitter type="sunsky"/>', '<emitter type="sunsky">: is not supported'),
-        ('<emitter type="sunsky"/>', "is not supported"),
+        ('<emitter type="timed_sunsky"/>', "bake_sky.py makes an envmap of it"),
+        ('<emitter type="sun"/>', "is not supported; use point"),
+        (
+            '<shape type="sphere"><emitter type="directionalarea"><transform name="to_world"/></emitter></shape>',
+            "moves with its shape",
+        ),
+        (
+            '<integrator type="path"><boolean name="hide_emitters" value="true"/></integrator>'
+            '<shape type="sphere"><emitter type="directionalarea"/></shape>',
+            "is hidden by hide_emitters",
+        ),
+        (
+            '<integrator type="moment"><integrator type="ptracer"/></integrator>'
+            '<shape type="sphere"><emitter type="directionalarea"/></shape>',
+            "is seen by the light tracing of ptracer",
+        ),
         ('<emitter type="constant"/><emitter type="constant"/>', "second environment"),
         ('<integrator type="volpath"/>', "is not supported"),
         ('<integrator type="path"/><integrator type="path"/>', "second integrator"),
