@@ -138,25 +138,25 @@ def picture(world: World, edges: Edges, view: Any, depths: path.Depths, seed: An
         s = Stream(i.astype(jnp.uint32), seed)
         lens = s.pair_at(1) if camera.uses_lens(still.sensor) else None
         ways = s.child(2).pair_at(0)[0] * n_ways
-        parts: list[tuple[Any, Any, Any, Any]] = []
+        found: list[tuple[Any, Any, Any, Any]] = []
         if straight:
-            parts.append((*on_film.choose(s.child(1).pair_at(0)[0]), still_eye))
+            found.append((*on_film.choose(s.child(1).pair_at(0)[0]), still_eye))
         eye = camera.ray(still.sensor, still.to_world, middle, still.window, (0.0, 0.0), lens)[0]
         if curved:
             seen = choose(fixed, edges, eye, None, s.child(1), straight=False)
-            parts.append((seen.edge, seen.t, seen.weight * seen.slope, seen.x))
+            found.append((seen.edge, seen.t, seen.weight * seen.slope, seen.x))
         image, mirror = lambda world, p: p, None
         if mirrors:
             mirror = Mirror.choose(fixed, edges, eye, s.child(1).pair_at(2)[0])
             seen = choose(fixed, edges, eye, None, s.child(1), mirror.cone, mirror.plane)
-            parts.append((seen.edge, seen.t, seen.weight * seen.slope * mirror.weight, seen.x))
+            found.append((seen.edge, seen.t, seen.weight * seen.slope * mirror.weight, seen.x))
             meant, face = ways >= n_ways - 1, mirror.face
             image = lambda world, p: where(meant, edge.Plane.of(world, face).image(p), p)
             mirror = mirror, meant
-        j, t, weight, x = parts[0]
-        for k, part in enumerate(parts[1:], 1):
-            j, t, weight, x = where(ways >= k, part, (j, t, weight, x))
-        weight = weight * n_ways
+        chosen = found[0]
+        for k, other in enumerate(found[1:], 1):
+            chosen = where(ways >= k, other, chosen)
+        j, t, weight, x = chosen[0], chosen[1], chosen[2] * n_ways, chosen[3]
 
         def at(view: Any, world: World, to_local: Any, t: Any) -> Any:
             p = image(world, edges.point(world, j, t, x))

@@ -1,0 +1,239 @@
+"""Derivatives by what is seen: closed forms, quadrature, and central differences of pictures."""
+
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from helpers import frame, icosphere, look_at, moved
+
+import jaxrt
+from jaxrt.gradient import edges as edge
+from jaxrt.gradient.edges import edges_of
+from jaxrt.gradient.visibility import Seen, shadows
+from jaxrt.sampling.sobol import Drawn
+from jaxrt.vector import Spectrum, Vec3, dot
+from jaxrt.world import prepare
+
+BLACK = jaxrt.Diffuse(0.0, id="black")
+LAMP = moved(0.5, (0, 0, 2.0), frame((0, 0, -1), (1, 0, 0)))
+# e -> E, dE/de and dE/dz of a receiver at the origin under the half plane x < e at height 1 and the lamp.
+HALF_PLANE = {0.0: (0.115418399, -0.480272781, None), 0.1: (0.067702329, -0.470990941, 0.037495484)}
+
+
+BORDER = np.outer([0.0, 1, 1, 0], [1.0, 0, 0])
+
+
+def half_plane(e):
+    return np.array([[-60.0, -60, 1], [e, -60, 1], [e, 60, 1], [-60, 60, 1]])
+
+
+def under_half_plane(e):
+    shapes = [
+        jaxrt.Rectangle(id="lamp", to_world=LAMP, emission=1.0, bsdf=BLACK),
+        jaxrt.Mesh(id="screen", vertices=half_plane(e), faces=[[0, 1, 2], [0, 2, 3]], bsdf=BLACK),
+    ]
+    return jaxrt.Scene.build(shapes)
+
+
+@pytest.fixture(scope="module")
+def meter():
+    """E and its derivatives by the place of the border and by the receiver's height, 32 estimates of 4096 samples."""
+    scene = under_half_plane(0.1)
+
+    def irradiance(values):
+        e, z = values
+        screen = jnp.asarray(half_plane(0.0)) + BORDER * e
+        at = jnp.zeros((32, 3)).at[:, 2].set(z)
+        moved = jaxrt.with_params(scene, {"screen.vertices": screen})
+        return jaxrt.irradiance(moved, at, jnp.array([0, 0, 1.0]), spp=4096, max_depth=1, plan=scene.plan)[:, 0]
+
+    return jax.jit(lambda e: (irradiance((e, 0.0)), *jax.jacfwd(irradiance)((e, 0.0))))
+
+
+@pytest.mark.parametrize("e", HALF_PLANE)
+def test_the_shadow_of_a_half_plane(meter, e):
+    """To 1 % and three standard errors of 130,000 samples; the receiver's own motion is part of it."""
+    for got, want in zip(meter(e), HALF_PLANE[e], strict=True):
+        if want is None:
+            continue
+        mean, error = float(got.mean()), float(got.std()) / np.sqrt(len(got) - 1)
+        assert mean == pytest.approx(want, rel=0.01)
+        assert abs(mean - want) < 3 * error
+        assert error < 0.003 * abs(want)
+
+
+def test_the_shadow_of_a_half_plane_by_quadrature():
+    """The same integrand along the edge, by the midpoint rule in float64, to 1e-5."""
+    n = 100_000
+    with jax.enable_x64(True):
+        for e, (_, by_edge, by_height) in HALF_PLANE.items():
+            scene = under_half_plane(e)
+            v = (jnp.arange(n) + 0.5) / n
+
+            def term(e, z, scene=scene, v=v):
+                screen = jnp.asarray(half_plane(0.0)) + BORDER * e
+                world = prepare(jaxrt.with_params(scene, {"screen.vertices": screen}), jaxrt.plan(scene))
+                zero = jax.lax.stop_gradient(z) * 0.0
+                up = Vec3(zero, zero, zero + 1.0)
+                seen = Seen(Vec3(zero, zero, z), up, up * 0.0, Spectrum((zero + 1.0,)))
+                f = lambda w: Spectrum((jnp.maximum(dot(up, w), 0.0),))
+                one = lambda v: shadows(
+                    world, edges_of(scene, world), seen, f, Drawn(((0.5, v), (0.5, 0.5), (0.5, 0.5)))
+                )
+                return jax.lax.map(lambda v: jax.vmap(one)(v).channels[0].sum(), v.reshape(10, -1)).sum() / n
+
+            value, slope = jax.jit(jax.value_and_grad(term, (0, 1)))(jnp.asarray(e), jnp.asarray(0.0))
+            assert float(value) == 0
+            assert float(slope[0]) == pytest.approx(by_edge, rel=1e-5)
+            if by_height is not None:  # the interior, which is held on the lamp, makes .061045031 of it
+                assert float(slope[1]) == pytest.approx(by_height - 0.061045031, rel=1e-5)
+
+
+@functools.cache
+def black_cube():
+    """A black cube before an even sky, 4 in front of the camera."""
+    cube = jaxrt.Cube(id="cube", to_world=moved(0.5), bsdf=BLACK)
+    pose = look_at((0, 0, 4), (0, 0, 0), (0, 1, 0))
+    sensor = jaxrt.Sensor("perspective", pose, fov=40, film=jaxrt.Film(16, 16, "gaussian"), id="eye")
+    return jaxrt.Scene.build([cube], sensors=[sensor], enclosure=jaxrt.Enclosure(1.0)), pose
+
+
+def test_the_outline_of_a_black_cube():
+    """d(mean picture)/dz = −.0880307, forward and reverse, by the cube's place and, with the other sign, the camera's."""
+    scene, pose = black_cube()
+    plan = jaxrt.plan(scene)
+
+    def mean(cube, eye):
+        values = {
+            "cube.to_world": jnp.asarray(moved(0.5), jnp.float32).at[2, 3].set(cube),
+            "eye.to_world": jnp.asarray(pose, jnp.float32).at[2, 3].add(eye),
+        }
+        return jaxrt.measure(jaxrt.with_params(scene, values), 0, plan=plan, spp=128, max_depth=1).mean()
+
+    value, (cube, eye) = jax.jit(jax.value_and_grad(mean, (0, 1)))(0.0, 0.0)
+    # A pixel's filter is scaled up at the picture's border, which the cube is far from: means are those of a box.
+    assert float(value) == pytest.approx(1 - 0.154, abs=2e-3)
+    assert float(cube) == pytest.approx(-0.0880307, rel=2e-3)
+    assert float(eye) == pytest.approx(0.0880307, rel=2e-3)
+
+
+# ------------------------------------------------------------------------------------------------- edges of M
+
+
+def count(*shapes):
+    scene = jaxrt.Scene.build(list(shapes))
+    edges = edges_of(scene, prepare(scene, jaxrt.plan(scene)))
+    n = int(edges.count)
+    return n, int(edges.border[:n].sum()), int(edges.crease[:n].sum())
+
+
+def test_edges_are_counted_once():
+    """(edges, borders, creases)"""
+    assert count(jaxrt.Cube()) == (12, 0, 12)
+    assert count(jaxrt.Rectangle()) == (4, 4, 4)
+    square = {"vertices": [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], "faces": [[0, 1, 2], [0, 2, 3]]}
+    assert count(jaxrt.Mesh(**square)) == (4, 4, 4)  # its diagonal is no edge
+    torn = {
+        "vertices": [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 0, 0], [1, 1, 0], [0, 1, 1]],
+        "faces": [[0, 1, 2], [3, 4, 5]],
+    }
+    assert count(jaxrt.Mesh(**torn)) == (5, 4, 5)  # vertices doubled, as at a seam of texture coordinates
+    v, f = icosphere(1)
+    assert count(jaxrt.Mesh(vertices=v, faces=f)) == (120, 0, 120)
+    assert count(jaxrt.Mesh(vertices=v, faces=f, normals=v)) == (120, 0, 0)
+    assert count(jaxrt.Sphere()) == (0, 0, 0)
+
+
+def test_an_arc_is_the_part_of_an_edge_in_a_cone():
+    """Directions of the arc are those between the ends; the part inside a cone is what is at its angle or less."""
+    rng = np.random.default_rng(3)
+    p, q, axis = (rng.normal(size=(500, 3)).astype(np.float32) for _ in range(3))
+    axis /= np.linalg.norm(axis, axis=1, keepdims=True)
+    sine = rng.uniform(0.05, 0.9, 500).astype(np.float32)
+
+    def one(p, q, axis, sine):
+        arc = edge.arc_of((Vec3.of(p), Vec3.of(q)), Vec3(0.0, 0.0, 0.0), None)
+        low, high = arc.towards(Vec3.of(axis), sine)
+        phi = jnp.linspace(-arc.half, arc.half, 41)
+        w = jax.vmap(lambda f: arc.direction(f).array())(phi)
+        return arc.half, w, phi, low, high
+
+    half, w, phi, low, high = (np.asarray(a, float) for a in jax.vmap(one)(p, q, axis, sine))
+    unit = lambda a: a / np.linalg.norm(a, axis=-1, keepdims=True)
+    np.testing.assert_allclose(w[:, 0], unit(p), atol=2e-5)
+    np.testing.assert_allclose(w[:, -1], unit(q), atol=2e-5)
+    np.testing.assert_allclose(2 * half, np.arccos((unit(p) * unit(q)).sum(-1)), atol=2e-3)
+    cos = (w * axis[:, None]).sum(-1)
+    inside, border = cos > np.sqrt(1 - sine[:, None] ** 2), np.abs(cos - np.sqrt(1 - sine[:, None] ** 2)) < 1e-4
+    found = (phi > low[:, None]) & (phi < high[:, None])
+    assert ((found == inside) | border).all()
+    assert inside.any() and not inside.all()
+
+
+# -------------------------------------------------------------------------------- against central differences
+
+RES = 16
+
+
+def moving(name):
+    """A scene, its parameters at θ, and its depth: a block over a floor in a corner, everything in motion."""
+    grey, floor = jaxrt.Diffuse(0.7, id="grey"), moved(2.0)
+    block, lamp = (
+        moved(0.35, (0.1, 0.0, 0.8), frame((0.2, 0.1, 1), (1, 0.4, 0))),
+        moved(0.4, (0.3, 0.2, 2.5), frame((0, 0, -1), (1, 0, 0))),
+    )
+    eye = look_at((0.5, -3.5, 2.2), (0, 0, 0.4))
+    wall = moved(2.0, (0, 1.5, 1.0), frame((0, -1, 0), (1, 0, 0)))
+    shapes = [
+        jaxrt.Rectangle(id="floor", to_world=floor, bsdf=grey),
+        jaxrt.Rectangle(id="lamp", to_world=lamp, emission=5.0, bsdf=BLACK),
+        jaxrt.Rectangle(id="wall", to_world=wall, bsdf=jaxrt.Conductor(0.0, id="m") if name == "mirror" else grey),
+    ]
+    if name == "curved":
+        shapes += [
+            jaxrt.Sphere(id="ball", center=(0.3, 0, 0.8), radius=0.4, bsdf=grey),
+            jaxrt.Disk(id="disk", to_world=moved(0.4, (-0.7, 0.2, 0.9), frame((0.3, 0, 1), (1, 0, 0))), bsdf=jaxrt.TwoSided(grey)),
+            jaxrt.Cylinder(id="tube", p0=(-0.9, -0.9, 0.3), p1=(0.0, -1.1, 0.6), radius=0.2, bsdf=jaxrt.TwoSided(grey)),
+        ]  # fmt: skip
+    else:
+        shapes.append(jaxrt.Cube(id="block", to_world=block, bsdf=jaxrt.Diffuse(0.4)))
+    sensor = jaxrt.Sensor("perspective", eye, fov=45, film=jaxrt.Film(RES, RES), id="eye")
+    scene = jaxrt.Scene.build(shapes, sensors=[sensor])
+    shifted = lambda m, v, t: jnp.asarray(m, jnp.float32).at[:3, 3].add(jnp.asarray(v, jnp.float32) * t)
+
+    def at(t):
+        values = {"lamp.to_world": shifted(lamp, (-0.5, 0.3, 0.4), t), "floor.to_world": shifted(floor, (0, 0, 0.3), t)}
+        values |= {"wall.to_world": shifted(wall, (0, -0.5, 0), t), "eye.to_world": shifted(eye, (0.4, 0.2, -0.1), t)}
+        if name == "curved":
+            values |= {
+                "ball.center": jnp.array([0.3, 0, 0.8]) + t * jnp.array([-0.8, 0.2, 0.3]),
+                "ball.radius": 0.4 + 0.3 * t,
+                "disk.to_world": shifted(moved(0.4, (-0.7, 0.2, 0.9), frame((0.3, 0, 1), (1, 0, 0))), (0.3, 0.5, -0.4), t),
+                "tube.p0": jnp.array([-0.9, -0.9, 0.3]) + t * jnp.array([0.5, 0.2, 0.4]),
+            }  # fmt: skip
+        else:
+            values["block.to_world"] = shifted(block, (0.9, 0.3, -0.2), t)
+        return values
+
+    return scene, at, {"direct": 2, "curved": 2, "indirect": 4, "mirror": 3}[name]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["direct", "indirect", "mirror", "curved"])
+def test_all_moves_at_once(name):
+    """Occluder, receiver, lamp, wall or mirror, and camera: blocks of 4 x 4 pixels of the derivative's picture."""
+    scene, at, max_depth = moving(name)
+    plan = jaxrt.plan(scene)
+
+    @functools.partial(jax.jit, static_argnames=("spp",))
+    def picture(t, key, spp):
+        return jaxrt.measure(jaxrt.with_params(scene, at(t)), key, plan=plan, spp=spp, max_depth=max_depth)
+
+    slope = jax.jit(lambda key: jax.jvp(lambda t: picture(t, key, 1024), (0.0,), (1.0,))[1])
+    h, spp = 0.02, 1 << 16
+    want = (np.asarray(picture(h, 7, spp), float) - np.asarray(picture(-h, 7, spp), float)) / (2 * h)
+    blocks = lambda a: np.asarray(a, float)[..., 0].reshape(RES // 4, 4, RES // 4, 4).mean((1, 3))
+    got, want = blocks(slope(3)), blocks(want)
+    assert np.abs(got - want).sum() < 0.03 * np.abs(want).sum()
