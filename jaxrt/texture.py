@@ -35,7 +35,10 @@ class Textures(eqx.Module):
 
     @classmethod
     def of(cls, scene: Scene, channels: int, kinds: tuple[str, ...]) -> Textures:
-        return cls(scene.texels[:, :channels], scene.textures, scene.to_uv, kinds)
+        texels = scene.texels[:, :channels]
+        if not len(texels):  # a plan may have textures that the scene has not
+            texels = jnp.zeros((1, channels), texels.dtype)
+        return cls(texels, scene.textures, scene.to_uv, kinds)
 
     def at(self, index: Any, place: Place) -> Spectrum:
         """The value of texture `index` (1 or more; anything for less) at a place."""

@@ -49,7 +49,7 @@ def _fits(scene: Scene, own: Plan, plan: Plan) -> None:
         lacking.discard("light_selection")
     why = {name: why for name, _, why in own.reasons}
     for name in sorted(lacking):
-        raise _of_another(scene, f"has {name} ({why[name]}), its plan has not")
+        raise _of_another(scene, f"has {name} ({why[name]}), which the plan leaves out")
     cut = any(name.startswith("texture:") for name in left_out)
     order = {"none": 0, "some": 2, "all": 1}
     for name, fits in {
@@ -64,11 +64,11 @@ def _fits(scene: Scene, own: Plan, plan: Plan) -> None:
         "lights": not plan.lights or bool(scene.lights.size or scene.lamps.size or own.environment),
     }.items():
         if not fits:
-            raise _of_another(scene, f"has other {name} than its plan")
+            raise _of_another(scene, f"has other {name} than the plan")
 
 
 def _of_another(scene: Scene, what: str) -> SceneError:
-    return SceneError(f"{scene.structure.source or 'scene'}: {what}, which is another scene's; make one by plan(scene)")
+    return SceneError(f"{scene.structure.source or 'scene'}: {what}, so that it is another scene's; give plan(scene)")
 
 
 # -------------------------------------------------------------------------------------------- values
