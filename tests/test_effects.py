@@ -172,7 +172,7 @@ def test_a_plain_scene_looks_the_same_with_everything_forced_in(lobes):
     np.testing.assert_allclose(a, b, rtol=1e-5)
 
 
-def test_a_value_does_not_compile_again_and_a_plan_does():
+def test_a_value_does_not_compile_again_and_a_plan_does(monkeypatch):
     scene = room()
     plan = jaxrt.plan(scene)
     render = lambda scene, plan: jaxrt.render(scene, spp=4, plan=plan, max_depth=3).image
@@ -180,8 +180,13 @@ def test_a_value_does_not_compile_again_and_a_plan_does():
     other = jaxrt.with_params(scene, {"paint.reflectance": 0.7, "light.radiance": [3.0, 2.0, 1.0]})
     assert (render(other, jaxrt.plan(other)) != first).any()
     assert compiler.programs() == made
-    render(scene, jaxrt.plan(scene, free=None))
-    assert compiler.programs() > made
+
+    def compiles(*_):
+        raise RuntimeError("compiles")
+
+    monkeypatch.setattr(compiler, "_make", compiles)
+    with pytest.raises(RuntimeError, match="compiles"):
+        render(scene, jaxrt.plan(scene, smooth_normals=True, light_sampling=False))
 
 
 # ------------------------------------------------------------------------------------------- assumptions
