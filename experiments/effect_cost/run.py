@@ -90,7 +90,9 @@ def draw(table: dict[str, dict[str, tuple[Cost, float]]], names: list[str]) -> N
     right.plot(x, y, "o", ms=4, alpha=0.7)
     ends = [min(*x, *y, -10), max(*x, *y, 10)]
     right.plot(ends, ends, "k-", lw=0.5)
-    right.set(xscale="symlog", yscale="symlog", xlabel="% of a picture, by the table", ylabel="% by a clock")
+    right.set_xscale("symlog", linthresh=10)
+    right.set_yscale("symlog", linthresh=10)
+    right.set(xlabel="% of a picture, by the table", ylabel="% by a clock")
     right.set_title("table and clock", fontsize=9)
     fig.savefig(HERE / "results" / "effect_cost.png", dpi=150)
 
