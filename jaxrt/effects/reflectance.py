@@ -74,7 +74,7 @@ _READ = {
 
 def _node(name: str) -> Effect:
     def sets(facts: Facts, chosen: Chosen) -> dict:
-        own, shared = _READ[name], {"lobe", "weight", "first", "second", "shadowed"}
+        own, shared = _READ.get(name, {}), {"lobe", "weight", "first", "second", "shadowed"}
         return {"nodes": (name,), "depth": max(facts.depth, 1), **own, "fields": own.get("fields", set()) | shared}
 
     needs = ("texture:",) if name in ("normalmap", "bumpmap") else ()
