@@ -10,6 +10,7 @@ __version__ = "0.1.0"
 if TYPE_CHECKING:
     from . import radiometry
     from .effects import Plan, plan
+    from .effects.costs import effect_costs
     from .files.ies import load_ies
     from .loading import load
     from .operators import (
@@ -78,6 +79,7 @@ if TYPE_CHECKING:
 # Names are imported when they are first used: `jaxrt --help` and mistakes in a command come without jax.
 _HOMES = {
     "effects": "Plan plan",
+    "effects.costs": "effect_costs",
     "files.ies": "load_ies",
     "loading": "load",
     "operators": "D G K T add adjoint compose emission estimate inner neumann norm psi sub",
@@ -165,6 +167,7 @@ __all__ = [
     "add",
     "adjoint",
     "compose",
+    "effect_costs",
     "elements_of",
     "emission",
     "estimate",

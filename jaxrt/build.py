@@ -140,6 +140,7 @@ def build(
 
     radiance, emitter_of = [np.zeros(c), spread(around, c, "enclosure.radiance")], {}
     radiance_map, around_name = [0, 0], names.part(enclosure.id or "enclosure")
+    emitters = ["", around_name]
     if isinstance(enclosure.radiance, Texture):
         radiance_map[1] = textures.number(enclosure.radiance, f"{around_name}.radiance", shapes[0], 0, False)[0]
         names.add(f"{around_name}.to_world", "around_to_world", 0)
@@ -159,8 +160,9 @@ def build(
             value = spread(value, c, f"{wanted}.radiance")
             if (wanted, number) not in emitter_of:
                 emitter_of[wanted, number] = len(radiance)
+                emitters.append(wanted if number else names.part(wanted))
                 if not number:
-                    names.add(f"{names.part(wanted)}.radiance", "radiance", len(radiance))
+                    names.add(f"{emitters[-1]}.radiance", "radiance", len(radiance))
                 radiance.append(value)
                 radiance_map.append(number)
             elif (radiance[emitter_of[wanted, number]] != value).any():
@@ -197,6 +199,7 @@ def build(
         lamp_radiance.append(len(radiance))
         radiance.append(spread(value, c, f"{name}.{key}"))
         radiance_map.append(number)
+        emitters.append(name)
         if isinstance(lamp, Goniometric):
             lamp_rows[k][6] = number
         if isinstance(lamp, (Point, Goniometric)):
@@ -282,6 +285,8 @@ def build(
         structure=Structure(
             slots=tuple(names.slots.items()),
             shapes=tuple(layout),
+            materials=tuple(materials.row_names),
+            emitters=tuple(emitters),
             sensors=sensor_structures,
             sensor_ids=tuple(views.ids),
             integrator=(integrator.max_depth, integrator.rr_depth, integrator.hide_emitters, integrator.spp),

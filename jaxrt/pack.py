@@ -128,7 +128,7 @@ class Materials:
 
     def __init__(self, channels: int, names: Names, textures: Textures):
         self.columns, self.names, self.textures = MaterialColumns(channels), names, textures
-        self.rows = [self.columns.row(LOBES["diffuse"].number)]
+        self.rows, self.row_names = [self.columns.row(LOBES["diffuse"].number)], [""]
         self._index: dict[Any, int] = {}
 
     def row(self, outer: Any, shape: Shape, first: int, twosided: bool = False) -> int:
@@ -157,6 +157,7 @@ class Materials:
             self._put(cells, field, value, f"{name}.{shown.get(field, field)}", shape, first)
         number = NODES[lobe] if lobe in NODES else LOBES[lobe].number
         self.rows.append(self.columns.row(number, twosided, **cells))
+        self.row_names.append(name)
         for key, field in parameters.items():
             if not any(isinstance(v, Texture) for v in _flat([fields[field]])):
                 one = field not in SPECTRA and np.ptp(cells[field]) == 0

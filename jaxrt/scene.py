@@ -8,12 +8,15 @@ from __future__ import annotations
 
 import dataclasses
 import difflib
+import functools
+import weakref
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jax.core import Tracer
 from jaxtyping import Array, Float, Int32
 
 from .parts import Film, Integrator, SceneError
@@ -86,6 +89,8 @@ class Structure:
 
     slots: tuple[tuple[str, Slot], ...] = ()
     shapes: tuple[tuple[str, str, int, int], ...] = ()  # id, kind of its faces, first face, past the last
+    materials: tuple[str, ...] = ()  # names of the rows of that table
+    emitters: tuple[str, ...] = ()  # and of radiance
     sensors: tuple[SensorStructure, ...] = ()
     sensor_ids: tuple[str, ...] = ()
     integrator: tuple[int, int, bool, int] = dataclasses.astuple(Integrator())
@@ -193,15 +198,30 @@ def params(scene: Scene) -> dict[str, Array]:
     return out
 
 
+_moved: dict[int, tuple[Any, set[str]]] = {}
+
+
+def moved(table: Any) -> set[str] | None:
+    """Parameters whose traced values are in a table, as far as `with_params` put them there; None if unknown."""
+    if not isinstance(table, Tracer):
+        return set()
+    kept, names = _moved.get(id(table), (lambda: None, set()))
+    return set(names) if kept() is table else None
+
+
 def with_params(scene: Scene, values: Mapping[str, Any]) -> Scene:
     """A new scene with the named parameters set; pure, so values may be traced.
 
     Raises `SceneError` (a ValueError) for an unknown name, with the closest ones, and for a wrong shape.
     """
     leaves: dict[str, Any] = {}
+    traced: dict[str, set[str] | None] = {}
     for name, value in values.items():
         slot = scene.structure.slot(name)
         leaf = leaves.get(slot.leaf, getattr(scene, slot.leaf))
+        known = traced.setdefault(slot.leaf, moved(leaf))
+        if known is not None and isinstance(value, Tracer):
+            known.add(name)
         value = jnp.asarray(value, leaf.dtype)
         want = slot.shape or leaf[slot.index].shape
         if slot.one:
@@ -211,5 +231,9 @@ def with_params(scene: Scene, values: Mapping[str, Any]) -> Scene:
             raise SceneError(f"{name}: has shape {value.shape}; give {want}")
         value = value if slot.shape is None else jnp.broadcast_to(value, want).reshape(leaf[slot.index].shape)
         leaves[slot.leaf] = leaf.at[slot.index].set(value)
+    for name, leaf in leaves.items():
+        if isinstance(leaf, Tracer) and (known := traced[name]) is not None:
+            forget = functools.partial(_moved.pop, id(leaf))
+            _moved[id(leaf)] = weakref.ref(leaf, lambda _, forget=forget: forget(None)), known
     names = list(leaves)
     return eqx.tree_at(lambda s: [getattr(s, n) for n in names], scene, [leaves[n] for n in names]) if names else scene

@@ -41,7 +41,10 @@ class Textures(eqx.Module):
 
     @classmethod
     def of(cls, scene: Scene, channels: int, kinds: tuple[str, ...], nested: int) -> Textures:
-        return cls(scene.texels[:, :channels], scene.textures, scene.to_uv, kinds, nested)
+        texels = scene.texels[:, :channels]
+        if not len(texels):  # a plan may have textures that the scene has not
+            texels = jnp.zeros((1, channels), texels.dtype)
+        return cls(texels, scene.textures, scene.to_uv, kinds, nested)
 
     def at(self, index: Any, place: Place) -> Spectrum:
         """The value of texture `index` (1 or more; anything for less) at a place."""
@@ -158,9 +161,9 @@ def table_row(texture: Texture, offset: int, inner: Sequence[int]) -> list[int]:
 
 
 def inner_numbers(layout: np.ndarray, numbers: np.ndarray) -> np.ndarray:
-    """The numbers of textures in the squares of those among textures `numbers` that are checkerboards."""
-    of_kind = layout[numbers, 0] == TEXTURES.index("checkerboard")
-    inner = np.unique(layout[numbers[of_kind], 4:])
+    """The numbers of textures in the squares of checkerboards, and of the factors of products, among `numbers`."""
+    of_kind = lambda kind: layout[numbers[layout[numbers, 0] == TEXTURES.index(kind)]]
+    inner = np.unique(np.concatenate([of_kind("checkerboard")[:, 4:].ravel(), of_kind("product")[:, 1:3].ravel()]))
     return inner[inner > 0]
 
 

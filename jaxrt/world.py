@@ -18,8 +18,7 @@ from jaxtyping import Array, Bool, Float
 from . import coordinates
 from .brdf import SPECTRA, MaterialColumns, derive
 from .compiler import program, remembered
-from .effects import Plan
-from .effects import plan as make_plan
+from .effects import Plan, fitting, without
 from .environment import Environment
 from .instances import Instances
 from .intersect import Faces, Search, affine, build_search
@@ -219,6 +218,7 @@ def _power(lamps: Any, intensity: Any, radius: Any) -> Any:
 def prepare(scene: Scene, plan: Plan) -> World:
     """The world of a scene under a plan. Pure; the search structure carries no derivatives."""
     sg = jax.lax.stop_gradient
+    scene = without(scene, plan) if plan.cut else scene
     geometry, side, extra = _face_geometry(scene, plan)
     area = sg(face_areas(geometry, scene.blocks))
     instances = Instances.of(scene) if plan.instances else None
@@ -338,7 +338,7 @@ def world_of(scene: Scene | World, plan: Plan | None = None) -> World:
     """The world of a scene under its own plan (made here if it has none) or another; a world as it is."""
     if isinstance(scene, World):
         return scene
-    return prepare(scene, plan or scene.plan or make_plan(scene))
+    return prepare(*fitting(scene, plan))
 
 
 __all__ = ["FACE", "FEW_LIGHTS", "World", "prepare", "prepared", "world_of"]

@@ -187,12 +187,33 @@ def test_a_terminal_gets_a_progress_bar(monkeypatch, scene, capsys):
 
 
 def test_explain_prints_the_plan_and_what_freedom_would_change(run, scene):
-    *table, last = run("explain", scene())
+    head, *table, last = run("explain", scene())
     rows = {row.split()[0]: row.split()[1] for row in table if not row.startswith("assumes")}
+    assert head.split() == ["effect", "because"]
     assert rows["area_light"] == "in" and rows["rgb"] == "out" and rows["lobe:mirror"] == "out"
     assert last.startswith("with every parameter free: ") and "rgb" in last
     columns = {re.search(r" (in |out) ", row).start() for row in table if not row.startswith("assumes")}
     assert len(columns) == 1
+    assert any("lamp.emitter" in row for row in table if row.startswith("area_light"))
+
+
+def test_explain_says_what_is_lost_without_effects(run, scene, monkeypatch):
+    from jaxrt.effects import costs
+
+    monkeypatch.setattr(costs, "dropped_radiance", lambda scene, forced: (2.0, 0.5 * len(forced), 0.01))
+    *table, last = run("explain", scene(), "--without", "bounces", "--with", "smooth_normals")
+    rows = {row.split()[0]: row for row in table}
+    assert "out  forced out" in rows["bounces"] and "in   forced in" in rows["smooth_normals"]
+    assert last == "the mean of a small picture loses 1 ± 0.01, 50.00% of 2; left out: bounces"
+
+
+def test_explain_shows_what_effects_cost(run, scene, monkeypatch):
+    from jaxrt.effects import costs
+
+    one = costs.Cost("bounces", True, (0.010, 0.025), (1.0, 3.0), (10**6, 3 * 10**6), 0.001, (0.5, 0.01), 2.0)
+    monkeypatch.setattr(costs, "effect_costs", lambda scene, **options: [one])
+    (row,) = (row for row in run("explain", scene(), "--measure") if row.startswith("bounces"))
+    assert row.split()[1:10] == "in +15.0 ± 1.0 ms +60% -1.7 +2.0 s".split()
 
 
 def picture(path, values, stderr=None, size=(12, 20)):
@@ -253,6 +274,7 @@ def test_version_and_help(run):
         (["render"], "SCENE"),
         (["render", "no_such_file.xml"], "no_such_file.xml: no such file; check"),
         (["explain", "no_such_file.glb"], "no_such_file.glb: no such file; check"),
+        (["explain", CORNELL, "--without", "blent"], "blent: no such effect; closest: blend"),
         (["compare", "a.exr", "b.exr"], "a.exr: no such file; check"),
         (["render", CORNELL, "--spp", "0"], "--spp: is '0'; give a whole number from 1"),
         (["render", CORNELL, "--spp", "2.5"], "--spp: is '2.5'; give"),

@@ -186,7 +186,7 @@ def test_plans_of_textures():
         False,
     )
     assert "texture:bitmap" in jaxrt.plan(painted).effects
-    assert "on reflectance" in str(jaxrt.plan(painted))
+    assert "on floor.bsdf.reflectance" in str(jaxrt.plan(painted))
     assert {"blend", "lobe:nothing"} <= jaxrt.plan(mixed).effects
     assert {"environment", "enclosure"} <= jaxrt.plan(sky).effects
     assert "environment" not in jaxrt.plan(sky, environment=False).effects

@@ -159,7 +159,7 @@ def picture(world: World, edges: Edges, view: Any, depths: path.Depths, seed: An
         j, t, weight, x = chosen[0], chosen[1], chosen[2] * n_ways, chosen[3]
 
         def at(view: Any, world: World, to_local: Any, t: Any) -> Any:
-            p = image(world, edges.point(world, j, t, x))
+            p = image(world, edges.point(world, j, t, Vec3(*x)))
             return camera.position(view.sensor, to_local, view.lens, view.window, p, lens)
 
         ((q, z), (dq, _)) = jax.jvp(lambda t: at(still, fixed, sg(to_local), t), (t,), (jnp.ones_like(t),))

@@ -15,8 +15,7 @@ from jaxtyping import Array, Float
 
 from ..chart import off_surface
 from ..compiler import cores, program, remembered
-from ..effects import Plan
-from ..effects import plan as make_plan
+from ..effects import Plan, fitting
 from ..parts import SceneError
 from ..sampling.sobol import Stream, combine, seed_of
 from ..scene import Scene, in_working_precision
@@ -132,7 +131,7 @@ class Field(eqx.Module):
 
 def elements_of(scene: Scene, plan: Plan | None = None, resolution: int = 4096) -> Elements:
     """About `resolution` elements of a scene, made on the host; under a transformation, make them before it."""
-    plan = plan or scene.plan or make_plan(scene)
+    scene, plan = fitting(scene, plan)
     return marked(*prepared(scene, plan), resolution)
 
 
@@ -198,7 +197,7 @@ def solve(
     for name, value in (("resolution", resolution), ("directions", directions)):
         if not isinstance(value, (int, np.integer)) or value < 2:
             raise SceneError(f"{name}: is {value}; give a whole number of at least 2")
-    plan = plan or scene.plan or make_plan(scene)
+    scene, plan = fitting(scene, plan)
     depth = scene.structure.asked().max_depth if max_depth is None else int(max_depth)
     if elements is None:
         if any(isinstance(a, Tracer) for a in jax.tree.leaves(scene)):

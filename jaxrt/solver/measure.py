@@ -14,8 +14,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..compiler import over_devices
-from ..effects import Plan
-from ..effects import plan as make_plan
+from ..effects import Plan, fitting
 from ..gradient import silhouettes, visibility
 from ..gradient.edges import edges_of
 from ..parts import SceneError
@@ -169,10 +168,10 @@ def _pixels(
     return jnp.broadcast_to(values.reshape(-1, plan.channels)[:n], (n, plan.out_channels))
 
 
-def _plan_of(scene: Scene, plan: Plan | None, spp: int) -> Plan:
+def _checked(scene: Scene, plan: Plan | None, spp: int) -> tuple[Scene, Plan]:
     if not isinstance(spp, (int, np.integer)) or spp < 1:
         raise SceneError(f"spp: is {spp}; give a whole number of at least 1")
-    return plan or scene.plan or make_plan(scene)
+    return fitting(scene, plan)
 
 
 def measure(
@@ -197,7 +196,7 @@ def measure(
     Derivatives hold samples fixed (design: interior terms). They are right where no visibility edge moves;
     second derivatives where no geometry moves at all.
     """
-    plan = _plan_of(scene, plan, spp)
+    scene, plan = _checked(scene, plan, spp)
     view = view_of(scene, sensor)
     depths = seen_by(view, depths_of(scene, max_depth, rr_depth))
     width, height = view.width, view.height
@@ -260,7 +259,7 @@ def irradiance(
 def _along(
     scene: Scene, begin: Any, key: Any, plan: Plan | None, spp: int, max_depth: int | None, boundary: bool
 ) -> Any:
-    plan = _plan_of(scene, plan, spp)
+    scene, plan = _checked(scene, plan, spp)
     depths = dataclasses.replace(depths_of(scene, max_depth), hide_emitters=False)  # a meter sees all light
     n = begin.points.shape[0]
     if n == 0:

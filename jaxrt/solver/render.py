@@ -16,7 +16,7 @@ import numpy as np
 
 from .. import __version__
 from ..compiler import cores, program, remembered, seconds_spent
-from ..effects import Plan
+from ..effects import Plan, fitting
 from ..effects import plan as make_plan
 from ..parts import SceneError
 from ..sampling.sobol import seed_of
@@ -140,7 +140,8 @@ def render(  # pyright: ignore[reportInconsistentOverload]  # options are those 
     spp = int(spp)
     sensors = [sensor] if isinstance(sensor, (int, np.integer)) else list(sensor)
     views, depths = [_view(scene, k) for k in sensors], depths_of(scene, max_depth, rr_depth)
-    names, plan = checked(aov, views), plan or _specialised(scene)
+    names = checked(aov, views)
+    plan = _specialised(scene) if plan is None else fitting(scene, plan)[1]
     threads = cores()
     memory = machine_memory() / 4 if memory is None else memory
     chunk = lanes_of(plan) if chunk is None else chunk
