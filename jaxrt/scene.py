@@ -55,7 +55,7 @@ class SensorStructure:
 
     kind: str
     fov_axis: str
-    film: tuple[Any, ...]  # width, height, filter, radius, stddev
+    film: tuple[Any, ...]  # width, height, and those of `sensor.film.Filter`
     window: tuple[float, float, float, float]  # the picture's corner on the film it is cut from, and that film's size
     row: int = 0  # of tables of sensors
     area: tuple[str, str, int, int] | None = None  # what it measures over: table, kind of faces, first, past the last

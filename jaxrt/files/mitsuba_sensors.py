@@ -16,6 +16,7 @@ from .transforms import look_at
 
 SAMPLES = 4  # of Mitsuba's samplers, where a file does not say
 
+_FILTERS = ("box", "tent", "gaussian", "mitchell", "catmullrom", "lanczos")
 _SAMPLERS = ("independent", "stratified", "multijitter", "orthogonal", "ldsampler")
 _DIAGONAL = np.hypot(36.0, 24.0)  # mm, of the 35 mm film that a focal_length refers to
 _CROP = ("crop_width", "crop_height", "crop_offset_x", "crop_offset_y")
@@ -172,15 +173,15 @@ def film(ctx: Context, element: Element) -> parts.Film:
         x, y = (ctx.integer(element, f"crop_offset_{axis}", 0) for axis in "xy")
         fields["crop"] = (x, y, width, height)
         width, height = (ctx.integer(element, f"crop_{k}", n) for k, n in (("width", width), ("height", height)))
+    fields["border"] = ctx.boolean(element, "sample_border", False)
     made = ctx.part(element, parts.Film, width=width, height=height, **fields)
-    silent = dict.fromkeys(("pixel_format", "component_format", "file_format", "banner", "compensate"), "")
-    ctx.finish(element, {**silent, "sample_border": _NO_EFFECT})
+    ctx.finish(element, dict.fromkeys(("pixel_format", "component_format", "file_format", "banner", "compensate"), ""))
     return made
 
 
 def _filter(ctx: Context, element: Element) -> dict[str, Any]:
-    if element.plugin not in ("box", "tent", "gaussian"):
-        element.fail("is not supported; use box, tent or gaussian")
+    if element.plugin not in _FILTERS:
+        element.fail(f"is not supported; use {', '.join(_FILTERS)}")
     fields: dict[str, Any] = {"filter": element.plugin}
     if element.plugin == "tent":
         fields["radius"] = ctx.number(element, "radius", 1.0)
@@ -188,6 +189,10 @@ def _filter(ctx: Context, element: Element) -> dict[str, Any]:
         fields["stddev"] = ctx.number(element, "stddev", 0.5)
         if not fields["stddev"] > 0:
             element.fail("stddev is not positive; give a positive one")
+    elif element.plugin == "mitchell":
+        fields["bc"] = (ctx.number(element, "B", 1 / 3), ctx.number(element, "C", 1 / 3))
+    elif element.plugin == "lanczos":
+        fields["radius"] = float(ctx.integer(element, "lobes", 3))
     ctx.finish(element)
     return fields
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from ..parts import Diffuse, SceneError, Sensor, Shape
 from ..scene import CAMERAS, SensorStructure
+from .film import Filter
 
 _LENS = {"fov": "fov", "near_clip": "near", "far_clip": "far", "aperture_radius": "aperture_radius"}
 _LENS |= {"focus_distance": "focus_distance"}
@@ -37,7 +38,9 @@ class Rows:
         film = s.film
         x, y, w, h = film.crop or (0, 0, film.width, film.height)
         window = (x + s.principal_point[0] * w, y + s.principal_point[1] * h, float(w), float(h))
-        made = (film.width, film.height, film.filter, float(film.radius or 0.5), float(film.stddev))
+        bc = (float(film.bc[0]), float(film.bc[1]))
+        shape = Filter(film.filter, float(film.radius or 0.5), float(film.stddev), bc, bool(film.border))
+        made = (film.width, film.height, *shape)
         if s.kind == "batch":
             each = film.width // len(s.sensors)
             parts = tuple(self._structure(part).sized(each, film.height) for part in s.sensors)

@@ -942,6 +942,9 @@ def test_several_sensors_and_their_samples(load):
         ('<rfilter type="tent"><float name="radius" value="2"/></rfilter>', ("tent", 2)),
         ('<rfilter type="gaussian"/>', ("gaussian", 2)),
         ('<rfilter type="gaussian"><float name="stddev" value="1"/></rfilter>', ("gaussian", 4)),
+        ('<rfilter type="mitchell"/>', ("mitchell", 2)),
+        ('<rfilter type="catmullrom"/>', ("catmullrom", 2)),
+        ('<rfilter type="lanczos"><integer name="lobes" value="2"/></rfilter>', ("lanczos", 2)),
     ],
 )
 def test_film_filters(load, given, expected):
@@ -1001,7 +1004,9 @@ def test_sensors_that_do_not_work(refused, body, problem):
         ('<integer name="crop_offset_y" value="-1"/>', "goes beyond the film"),
         ('<integer name="width" value="0"/>', "film.width: is 0"),
         ('<float name="width" value="10"/>', "write it as <integer>"),
-        ('<rfilter type="mitchell"/>', "use box, tent or gaussian"),
+        ('<rfilter type="sinc"/>', "use box, tent, gaussian, mitchell"),
+        ('<rfilter type="lanczos"><integer name="lobes" value="0"/></rfilter>', "give a positive"),
+        ('<rfilter type="mitchell"><float name="B" value="7"/></rfilter>', "two numbers from -1 to 1"),
         ('<rfilter type="tent"><float name="radius" value="0"/></rfilter>', "give a positive"),
         ('<rfilter type="gaussian"><float name="stddev" value="0"/></rfilter>', "give a positive"),
     ],
