@@ -280,7 +280,7 @@ def build(
             shapes=tuple(layout),
             sensors=sensor_structures,
             sensor_ids=tuple(views.ids),
-            integrator=(integrator.max_depth, integrator.rr_depth, integrator.hide_emitters, integrator.spp),
+            integrator=dataclasses.astuple(integrator),
             source=source,
         ),
     )

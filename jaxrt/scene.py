@@ -14,9 +14,10 @@ from typing import TYPE_CHECKING, Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float, Int32
 
-from .parts import Film, Integrator, SceneError
+from .parts import LUMINANCE, Film, Integrator, SceneError
 
 if TYPE_CHECKING:
     from .effects import Plan
@@ -60,6 +61,7 @@ class SensorStructure:
     row: int = 0  # of tables of sensors
     area: tuple[str, str, int, int] | None = None  # what it measures over: table, kind of faces, first, past the last
     parts: tuple[SensorStructure, ...] = ()  # side by side in a batch
+    grey: bool = False  # whether the picture is luminance alone
 
     def sized(self, width: int, height: int) -> SensorStructure:
         """The same view in other pixels."""
@@ -76,6 +78,10 @@ class SensorStructure:
         """What a program depends on: sizes are run-time numbers."""
         return SensorStructure(self.kind, self.fov_axis, (0, 0, *self.film[2:]), (0.0, 0.0, 0.0, 0.0))
 
+    def tones(self, channels: int) -> np.ndarray | None:
+        """What turns the scene's channels (..., C) into the picture's, (C, 1); None where they are the same."""
+        return LUMINANCE[:, None] if self.grey and channels == 3 else None
+
     def as_film(self) -> Film:
         return Film(*self.film)
 
@@ -88,7 +94,7 @@ class Structure:
     shapes: tuple[tuple[str, str, int, int], ...] = ()  # id, kind of its faces, first face, past the last
     sensors: tuple[SensorStructure, ...] = ()
     sensor_ids: tuple[str, ...] = ()
-    integrator: tuple[int, int, bool, int] = dataclasses.astuple(Integrator())
+    integrator: tuple[Any, ...] = dataclasses.astuple(Integrator())
     source: str = ""
 
     def asked(self) -> Integrator:

@@ -11,10 +11,11 @@ import numpy as np
 from .. import parts
 from . import mitsuba_xml
 from .mitsuba_context import Context
+from .mitsuba_integrators import integrator
 from .mitsuba_lamps import ENCLOSURES, LAMPS, enclosure, lamp
 from .mitsuba_materials import bsdf
 from .mitsuba_nodes import OBJECTS
-from .mitsuba_sensors import integrator, sensor
+from .mitsuba_sensors import sensor
 from .mitsuba_shapes import shape
 from .mitsuba_xml import Document, Element
 

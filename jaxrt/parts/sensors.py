@@ -21,7 +21,7 @@ class Film:
 
     `border`: samples lie beyond the picture's edge where the filter reaches there; else it is cut off.
     `crop`: the picture is the part of a larger film that starts so many pixels (x, y) from its upper left corner, and
-    that film's width and height.
+    that film's width and height. `grey`: the picture is luminance alone.
     """
 
     width: int = 768
@@ -32,6 +32,7 @@ class Film:
     bc: tuple[float, float] = (1 / 3, 1 / 3)
     border: bool = False
     crop: tuple[int, int, int, int] | None = None
+    grey: bool = False
 
     def __post_init__(self):
         for key in ("width", "height"):

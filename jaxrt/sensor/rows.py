@@ -45,7 +45,7 @@ class Rows:
             each = film.width // len(s.sensors)
             parts = tuple(self._structure(part).sized(each, film.height) for part in s.sensors)
             self.name = name
-            return SensorStructure(s.kind, "", made, window, parts=parts)
+            return SensorStructure(s.kind, "", made, window, parts=parts, grey=film.grey)
         self.name, row = name, len(self.to_world)
         if s.kind != "irradiancemeter":
             self.names.add(f"{name}.to_world", "sensor_to_world", row)
@@ -54,7 +54,8 @@ class Rows:
         self.to_world.append(s.to_world)
         self.lens.append(tuple(getattr(s, field) for field in _LENS.values()))
         axis = s.fov_axis if s.kind in CAMERAS else ""
-        return SensorStructure(s.kind, axis, made, window, row, self._area(s.target, f"{name}.target"))
+        area = self._area(s.target, f"{name}.target")
+        return SensorStructure(s.kind, axis, made, window, row, area, grey=film.grey)
 
     def _area(self, target: Any, name: str) -> tuple[str, str, int, int] | None:
         """Where the faces are that a sensor measures over: in the scene, or in a table of targets."""

@@ -341,7 +341,7 @@ def test_bytes_that_are_no_text(tmp_path):
         ('<emitter type="sunsky"/>', '<emitter type="sunsky">: is not supported'),
         ('<emitter type="sunsky"/>', "is not supported"),
         ('<emitter type="constant"/><emitter type="constant"/>', "second environment"),
-        ('<integrator type="volpath"/>', "is not supported"),
+        ('<integrator type="depth"/>', "give --aov depth"),
         ('<integrator type="path"/><integrator type="path"/>', "second integrator"),
         ('<integrator type="moment"/>', "has 0 integrators"),
         ('<integrator type="moment"><integrator type="moment"/></integrator>', "is not supported"),
@@ -524,6 +524,8 @@ def test_transforms_that_do_not_work(refused, body, problem):
         ('<spectrum name="reflectance" value="0.7"/>', [0.7]),
         ('<spectrum name="reflectance" value="400:.1,700:.8"/>', [0.662438, 0.433495, 0.19472]),
         ('<spectrum name="reflectance" type="uniform"><float name="value" value=".3"/></spectrum>', [0.3]),
+        ('<spectrum name="reflectance" type="srgb"><rgb name="color" value=".3,.1,.2"/></spectrum>', [0.3, 0.1, 0.2]),
+        ('<spectrum name="reflectance" type="rawconstant"><float name="value" value=".3"/></spectrum>', [0.3]),
     ],
 )
 def test_reflectance_in_all_forms(load, given, expected):
@@ -1004,6 +1006,7 @@ def test_sensors_that_do_not_work(refused, body, problem):
         ('<integer name="crop_offset_y" value="-1"/>', "goes beyond the film"),
         ('<integer name="width" value="0"/>', "film.width: is 0"),
         ('<float name="width" value="10"/>', "write it as <integer>"),
+        ('<string name="pixel_format" value="cmyk"/>', "'cmyk' is not known; give one of luminance"),
         ('<rfilter type="sinc"/>', "use box, tent, gaussian, mitchell"),
         ('<rfilter type="lanczos"><integer name="lobes" value="0"/></rfilter>', "give a positive"),
         ('<rfilter type="mitchell"><float name="B" value="7"/></rfilter>', "two numbers from -1 to 1"),
@@ -1049,6 +1052,9 @@ def test_fov_and_focal_length_together(refused):
     assert "give only one" in refused(f'<sensor type="perspective">{given}</sensor>')
 
 
+AOV = '<integrator type="aov"><string name="aovs" value="d:depth"/><integrator type="prb"/></integrator>'
+
+
 @pytest.mark.parametrize(
     "body, expected",
     [
@@ -1058,6 +1064,8 @@ def test_fov_and_focal_length_together(refused):
         ('<integrator type="direct"/>', (2, 5, False)),
         ('<integrator type="direct"><boolean name="hide_emitters" value="true"/></integrator>', (2, 5, True)),
         ('<integrator type="moment"><integrator type="prb"/></integrator>', (6, 5, False)),
+        (f'<integrator type="moment">{AOV}</integrator>', (6, 5, False)),
+        ('<integrator type="volpathmis"/>', (-1, 5, False)),
         ('<integrator type="path"><integer name="max_depth" value="3"/></integrator>', (3, 5, False)),
         ('<integrator type="ptracer"><integer name="rr_depth" value="9"/></integrator>', (-1, 9, False)),
     ],
@@ -1065,6 +1073,19 @@ def test_fov_and_focal_length_together(refused):
 def test_integrators(load, body, expected):
     made = load(body).integrator
     assert (made.max_depth, made.rr_depth, made.hide_emitters) == expected
+
+
+def test_aovs_of_an_integrator(load):
+    aovs = '<string name="aovs" value="d.y:depth, n:sh_normal,s:dp_du"/>'
+    scene = load(f'<integrator type="aov">{aovs}<integrator type="path"/></integrator>')
+    assert scene.integrator.aovs == ("d.y:depth", "n:normal")
+    assert len(scene.notes) == 1 and "s:dp_du is left out" in scene.notes[0]
+
+
+def test_luminance_alone_is_asked_by_the_film(load):
+    film = '<sensor type="perspective"><film type="hdrfilm"><string name="pixel_format" value="{}"/></film></sensor>'
+    assert load(film.format("luminance")).sensors[0].film.grey and not load(film.format("rgba")).sensors[0].film.grey
+    assert "xyz is written as rgb" in load(film.format("xyz")).notes[0]
 
 
 def test_samples_of_direct_light_are_noted(load):
