@@ -22,20 +22,20 @@ COLUMNS = 6
 """In a face's row. Flat: (u, v) of the first corner, along e₁, along e₂. Spheres: axes x and z; cylinders: axis y."""
 
 
-def of_corners(scene: Scene) -> tuple[Any, Any]:
-    """(u, v) of each triangle's first corner, and its changes along both edges; whether the mesh has any."""
+def of_corners(scene: Scene) -> Any:
+    """(u, v) of each triangle's first corner, and its changes along both edges, (n, 6)."""
     uv = scene.uvs[scene.triangles]
     given = (uv < 0.5 * NONE).all((1, 2))[:, None]
     plain = jnp.asarray([[0.0, 0], [1, 0], [0, 1]], uv.dtype)
     uv = jnp.where(given[:, None], uv, plain[None])
-    return jnp.concatenate([uv[:, 0], uv[:, 1] - uv[:, 0], uv[:, 2] - uv[:, 0]], -1), given[:, 0]
+    return jnp.concatenate([uv[:, 0], uv[:, 1] - uv[:, 0], uv[:, 2] - uv[:, 0]], -1)
 
 
 def of_rows(scene: Scene, kind: str, m: Any, a: Any, b: Any) -> Any:
     """What the rows of a kind hold for their coordinates, (n, `COLUMNS`), for maps m to the world and edges a and b."""
     none, unit = jnp.zeros((len(a), 3), a.dtype), lambda v: v / jnp.maximum(jnp.linalg.norm(v, axis=-1), 1e-30)[:, None]
     if kind == "triangle":
-        return of_corners(scene)[0]
+        return of_corners(scene)
     if kind == "parallelogram":
         one, down = (jnp.asarray(row, a.dtype)[None] for row in ([0.0, 0, 1, 0, 0, 1], [0.0, 1, 1, 0, 0, -1]))
         return jnp.where(_of_cube(scene)[:, None], down, one)
@@ -58,14 +58,15 @@ def first_axis(d: Any) -> Any:
 
 
 def tangents(scene: Scene, kind: str, a: Any, b: Any) -> Any:
-    """∂p/∂u and ∂p/∂v of flat faces, (n, 6); 0 where a mesh has no coordinates, and of curved faces."""
+    """∂p/∂u and ∂p/∂v of flat faces, (n, 6): the edges where a mesh has no coordinates; 0 of curved faces, and where
+    coordinates span nothing."""
     if kind == "parallelogram":
         return jnp.concatenate([a, jnp.where(_of_cube(scene)[:, None], -b, b)], -1)
     if kind != "triangle":
         return jnp.zeros((len(a), 6), a.dtype)
-    corners, given = of_corners(scene)
+    corners = of_corners(scene)
     d1, d2 = corners[:, 2:4], corners[:, 4:6]
-    det = jnp.where(given, d1[:, 0] * d2[:, 1] - d1[:, 1] * d2[:, 0], 0.0)[:, None]
+    det = (d1[:, 0] * d2[:, 1] - d1[:, 1] * d2[:, 0])[:, None]
     safe = jnp.where(det != 0, det, 1.0)
     du, dv = (a * d2[:, 1:] - b * d1[:, 1:]) / safe, (b * d1[:, :1] - a * d2[:, :1]) / safe
     return jnp.where(det != 0, jnp.concatenate([du, dv], -1), 0.0)
