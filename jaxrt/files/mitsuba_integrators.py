@@ -25,6 +25,8 @@ def integrator(ctx: Context, element: Element, outside: str = "") -> dict[str, A
         fields["max_depth"] = 2
         splits = ("emitter_samples", "bsdf_samples", "shading_samples")
         ignored |= dict.fromkeys(splits, f"{NO_EFFECT}: each sample combines one of the light and one of the BSDF")
+        none = [name for name in splits if name in element.values and element.values[name].content == 0]
+        ignored |= dict.fromkeys(none, f"{NO_EFFECT}: what only such samples find is in the picture all the same")
     else:
         fields["max_depth"] = ctx.integer(element, "max_depth", _DEPTHS[element.plugin])
         fields["rr_depth"] = ctx.integer(element, "rr_depth", 5)

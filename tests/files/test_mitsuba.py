@@ -1090,7 +1090,9 @@ def test_luminance_alone_is_asked_by_the_film(load):
 
 def test_samples_of_direct_light_are_noted(load):
     notes = load('<integrator type="direct"><integer name="emitter_samples" value="4"/></integrator>').notes
-    assert len(notes) == 1 and "has no effect" in notes[0]
+    assert len(notes) == 1 and "each sample combines" in notes[0]
+    notes = load('<integrator type="direct"><integer name="bsdf_samples" value="0"/></integrator>').notes
+    assert len(notes) == 1 and "what only such samples find is in the picture" in notes[0]
 
 
 # ---------------------------------------------------------------------------------------- damaged files
