@@ -8,7 +8,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from jaxrt import compiler
 from jaxrt.compiler import one_function
+from jaxrt.solver import links, path, probe
+from jaxrt.world import prepare
 
 
 def body(a, b, unused, empty):
@@ -56,3 +59,10 @@ def test_a_kept_program_with_linear_algebra(tmp_path):
     for kept in (0, 1):
         done = subprocess.run([sys.executable, "-c", INVERT, str(tmp_path)], capture_output=True, text=True, check=True)
         assert done.stdout.split() == [str(kept), "1.5"]
+
+
+def test_what_is_kept_has_a_name(tmp_path, monkeypatch):
+    """A function with derivatives of its own has none in some versions of equinox, and no file could be named."""
+    monkeypatch.setattr(compiler, "folder", tmp_path)
+    functions = [links.link_rows, probe.lit, probe.stood_on, path.trace_rows, prepare]
+    assert len({compiler._file(f, "tree", ()) for f in functions}) == len(functions)
