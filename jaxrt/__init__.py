@@ -10,6 +10,7 @@ __version__ = "0.1.0"
 if TYPE_CHECKING:
     from . import radiometry
     from .effects import Plan, plan
+    from .files.ies import load_ies
     from .loading import load
     from .operators import (
         D,
@@ -41,6 +42,7 @@ if TYPE_CHECKING:
         Disk,
         Enclosure,
         Film,
+        Goniometric,
         Group,
         Instance,
         Integrator,
@@ -49,10 +51,12 @@ if TYPE_CHECKING:
         MeshAttribute,
         NormalMap,
         Null,
+        PhotometricWeb,
         Plastic,
         Point,
         Principled,
         PrincipledThin,
+        Product,
         Projector,
         Rectangle,
         SceneError,
@@ -74,11 +78,12 @@ if TYPE_CHECKING:
 # Names are imported when they are first used: `jaxrt --help` and mistakes in a command come without jax.
 _HOMES = {
     "effects": "Plan plan",
+    "files.ies": "load_ies",
     "loading": "load",
     "operators": "D G K T add adjoint compose emission estimate inner neumann norm psi sub",
     "parts": "Bitmap Blend BumpMap Checkerboard Conductor Cube Cylinder Dielectric Diffuse Directional Disk"
-    " Enclosure Film Group Instance Integrator Mask Mesh MeshAttribute NormalMap Null Plastic Point"
-    " Principled PrincipledThin Projector Rectangle SceneError Sensor Sphere Spot TwoSided",
+    " Enclosure Film Goniometric Group Instance Integrator Mask Mesh MeshAttribute NormalMap Null PhotometricWeb"
+    " Plastic Point Principled PrincipledThin Product Projector Rectangle SceneError Sensor Sphere Spot TwoSided",
     "rules": "BrdfRule LightRule MisRule QuadratureRule",
     "sampling.sobol": "Stream",
     "scene": "Scene params with_params",
@@ -123,6 +128,7 @@ __all__ = [
     "Field",
     "Film",
     "G",
+    "Goniometric",
     "Group",
     "Instance",
     "Integrator",
@@ -134,11 +140,13 @@ __all__ = [
     "MisRule",
     "NormalMap",
     "Null",
+    "PhotometricWeb",
     "Plan",
     "Plastic",
     "Point",
     "Principled",
     "PrincipledThin",
+    "Product",
     "Projector",
     "QuadratureRule",
     "Rectangle",
@@ -163,6 +171,7 @@ __all__ = [
     "inner",
     "irradiance",
     "load",
+    "load_ies",
     "measure",
     "neumann",
     "norm",

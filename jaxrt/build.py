@@ -19,6 +19,7 @@ from .parts import (
     Directional,
     Disk,
     Enclosure,
+    Goniometric,
     Group,
     Instance,
     Integrator,
@@ -115,6 +116,7 @@ def build(
             raise SceneError(f"{s.id or 'group'}: is not in the scene by itself; place it by an Instance")
         if isinstance(s, Instance):
             s.group.__post_init__()  # a shape may have been changed since
+    shapes = [e for s in shapes for e in (s.written_out() if isinstance(s, Instance) and not s.group.flat else [s])]
     instances = [s for s in shapes if isinstance(s, Instance)]
     grouped: dict[int, Group] = {id(s.group): s.group for s in instances}
     placed = [s for s in shapes if not isinstance(s, Instance)]
@@ -184,7 +186,7 @@ def build(
             by_kind[kind].append((k, rows))
         names.add(f"{ids[k]}.to_world", "to_world", k)
 
-    lamp_radiance = []
+    lamp_rows, lamp_radiance = [lamp.row() for lamp in lamps], []
     for k, (lamp, key, value) in enumerate(zip(lamps, keys, bright, strict=True)):
         name = names.part(lamp.id or type(lamp).__name__.lower())
         number = 0
@@ -195,9 +197,11 @@ def build(
         lamp_radiance.append(len(radiance))
         radiance.append(spread(value, c, f"{name}.{key}"))
         radiance_map.append(number)
-        if isinstance(lamp, Point):
+        if isinstance(lamp, Goniometric):
+            lamp_rows[k][6] = number
+        if isinstance(lamp, (Point, Goniometric)):
             names.add(f"{name}.position", "lamps", k, (0, 3))
-        if isinstance(lamp, (Spot, Directional)):
+        if isinstance(lamp, (Spot, Directional, Goniometric)):
             names.add(f"{name}.direction", "lamps", k, (3, 6))
 
     counts = [sum(len(rows) for _, rows in by_kind[kind]) for kind in KINDS]
@@ -268,7 +272,7 @@ def build(
         groups=i(np.array(groups, int).reshape(-1, 2), bucket(len(groups)), (sum(blocks), 0)),
         lights=i(lights, bucket(len(lights)), -1),
         around_to_world=f([enclosure.to_world], (4, 4), 1),
-        lamps=f([lamp.row() for lamp in lamps] or np.zeros((0, 12)), (12,), bucket(len(lamps))),
+        lamps=f(lamp_rows or np.zeros((0, 12)), (12,), bucket(len(lamps))),
         lamp_radiance=i(lamp_radiance, bucket(len(lamps))),
         sensor_to_world=f(views.to_world, (4, 4), len(views.to_world)),
         lens=f(views.lens, (5,), len(views.lens)),

@@ -23,7 +23,7 @@ COLUMNS = 6
 
 
 def of_corners(scene: Scene) -> Any:
-    """(u, v) of each triangle's first corner, and its changes along both edges, (n, 6)."""
+    """(u, v) of each triangle's first corner, and its changes along both edges; 0 and 1 where the mesh has none."""
     uv = scene.uvs[scene.triangles]
     given = (uv < 0.5 * NONE).all((1, 2))[:, None]
     plain = jnp.asarray([[0.0, 0], [1, 0], [0, 1]], uv.dtype)
@@ -58,8 +58,7 @@ def first_axis(d: Any) -> Any:
 
 
 def tangents(scene: Scene, kind: str, a: Any, b: Any) -> Any:
-    """∂p/∂u and ∂p/∂v of flat faces, (n, 6): the edges where a mesh has no coordinates; 0 of curved faces, and where
-    coordinates span nothing."""
+    """∂p/∂u and ∂p/∂v of flat faces, (n, 6); 0 where a mesh's coordinates do not change, and of curved faces."""
     if kind == "parallelogram":
         return jnp.concatenate([a, jnp.where(_of_cube(scene)[:, None], -b, b)], -1)
     if kind != "triangle":

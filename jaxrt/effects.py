@@ -21,6 +21,7 @@ from .near_lamps import solid_angle_pays
 from .parts import LAMPS, SceneError
 from .parts.textures import TEXTURES
 from .scene import KINDS, SENSORS, Scene
+from .texture import inner_numbers
 
 
 @jax.tree_util.register_static
@@ -40,12 +41,14 @@ class Plan:
     bumps: bool  # and ∂p/∂v
     coordinates: bool  # on surfaces, for textures and for tangents of curved ones
     textures: tuple[str, ...]  # kinds of them
+    nested: int  # how many checkerboards one of them stands in, at most
     nodes: tuple[str, ...]  # kinds of materials made of others
     depth: int  # how many of those stand inside one another, at most
     textured_lights: bool
     smooth_normals: bool
     light_kinds: tuple[str, ...]  # kinds of faces that emit
     lamp_kinds: tuple[str, ...]  # of lamps without extent
+    web: int  # angles of the finest photometric web
     many_lights: bool
     solid_angle: bool  # whether flat lights are sampled by it
     area_light: bool
@@ -136,12 +139,22 @@ def _grey(view: _View) -> bool:
     return same
 
 
-def _carriers(kind: str, layout: np.ndarray, mapped: list[str], view: _View) -> str:
-    """Which parameters have textures of a kind."""
-    of_kind = np.flatnonzero(layout[:, 0] == TEXTURES.index(kind))
+def _with_factors(numbers: np.ndarray, layout: np.ndarray) -> np.ndarray:
+    """Numbers of textures, with those that products among them are made of."""
+    products = numbers[layout[numbers, 0] == TEXTURES.index("product")]
+    return np.concatenate([numbers, layout[products, 1:3].ravel()])
+
+
+def _carriers(kind: str, layout: np.ndarray, mapped: list[str], view: _View, inner: np.ndarray) -> str:
+    """Which parameters have textures of a kind. `inner`: the textures that stand in others."""
+    made_so = [
+        (layout[_with_factors(np.array([k]), layout), 0] == TEXTURES.index(kind)).any() for k in range(len(layout))
+    ]
+    of_kind = np.flatnonzero(made_so)
     names = [f for f in mapped if np.isin(view.field(f"map:{f}"), of_kind[of_kind > 0]).any()]
     if np.isin(np.asarray(view.scene.radiance_map)[view.radiance_rows], of_kind[of_kind > 0]).any():
         names.append("radiance")
+    names += ["checkerboards"] if np.isin(inner, of_kind).any() else []
     return f"on {', '.join(names)}" if names else "no parameter has one"
 
 
@@ -168,14 +181,21 @@ def plan(scene: Scene, free: str | Iterable[str] | None = (), *, backend: str | 
     grey = _grey(view)
     mapped = [f for f in MAPPED if view.field(f"map:{f}").any()]
     layout, used = np.asarray(scene.textures), np.asarray(scene.radiance_map)[view.radiance_rows]
+    webs, used = used[layout[used, 0] < 0], used[layout[used, 0] >= 0]
     textured_lights = bool(used.any())
     numbers = np.concatenate([used, *(view.field(f"map:{f}").ravel() for f in mapped)]).astype(int)
-    textures = tuple(k for k in TEXTURES if TEXTURES.index(k) in layout[numbers[numbers > 0], 0])
+    levels = [_with_factors(numbers[numbers > 0], layout)]
+    while levels[-1].size:  # those in the squares of checkerboards
+        levels.append(_with_factors(inner_numbers(layout, levels[-1]), layout))
+    inner, nested = np.concatenate([*levels[1:], numbers[:0]]), max(len(levels) - 2, 0)
+    textures = tuple(k for k in TEXTURES if TEXTURES.index(k) in layout[np.concatenate(levels), 0])
     anisotropic |= bool((lambda a: a[:, 0] != a[:, 1])(view.field("map:alpha")).any())
     anisotropic |= bool(view.field("anisotropic").any() or view.field("map:anisotropic").any())
 
     shape_emitter = view.array["finishes"][view.array["shape_finish"], 1]
     dark = {r for r in view.radiance_rows if view.fixed("radiance", r) and not view.array["radiance"][r].any()}
+    if not view.fixed("texels"):
+        dark -= set(np.flatnonzero(np.asarray(scene.radiance_map)))
     lights = view.lights[view.lights >= 0]
     emitting = bool(set(shape_emitter[view.face_shape[lights]].tolist()) - dark)
     lamp_rows = np.asarray(scene.lamp_radiance)
@@ -238,7 +258,8 @@ def plan(scene: Scene, free: str | Iterable[str] | None = (), *, backend: str | 
         ("twosided", twosided != "none", f"{twosided} of the materials"),
         ("anisotropic", chosen["anisotropic"], say(anisotropic, "a roughness has a direction", "no such material")),
         *((k, present, say(present, "a material is made so", "no such material")) for k, present in made.items()),
-        *((f"texture:{k}", k in textures, _carriers(k, layout, mapped, view)) for k in TEXTURES),
+        *((f"texture:{k}", k in textures, _carriers(k, layout, mapped, view, inner)) for k in TEXTURES),
+        ("nested", nested > 0, say(nested > 0, "checkerboards of textures", "no checkerboard has textures")),
         ("smooth_normals", chosen["smooth_normals"], say(smooth, "a mesh has vertex normals", "all faces are flat")),
         ("area_light", chosen["area_light"], f"{n_lights} emitting faces"),
         *((k, k in lamps_in, "lamps without extent" if k in lamp_kinds else "no such lamp") for k in LAMPS),
@@ -274,12 +295,14 @@ def plan(scene: Scene, free: str | Iterable[str] | None = (), *, backend: str | 
         bumps=made["bumpmap"],
         coordinates=bool(textures) or (chosen["anisotropic"] and curved),
         textures=textures,
+        nested=nested,
         nodes=tuple(k for k, present in made.items() if present),
         depth=view.depth,
         textured_lights=textured_lights,
         smooth_normals=chosen["smooth_normals"],
         light_kinds=tuple(k for k in KINDS if k in kinds_of_lights) if sampled else (),
         lamp_kinds=lamps_in,
+        web=int(layout[webs, 2:4].max(initial=0)) if "goniometric" in lamps_in else 0,
         many_lights=n_lights > 1,
         solid_angle=chosen["solid_angle"],
         area_light=chosen["area_light"],

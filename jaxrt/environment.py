@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.lax import stop_gradient as sg
 
-from .sampling.warp import uniform_sphere
+from .sampling.warp import invert, uniform_sphere
 from .texture import LAYOUT
 from .vector import Vec3, normalise, safe_sqrt, transform_vector, where
 
@@ -72,8 +72,9 @@ class Environment(eqx.Module):
         height, width = self.density.shape
         even = u[0] < EVEN
         u = jnp.where(even, u[0] / EVEN, jnp.minimum((u[0] - EVEN) / (1.0 - EVEN), 1.0 - 2.0**-24)), u[1]
-        row, v = _invert(self.down, 0, height, u[1])
-        column, along = _invert(self.along.reshape(-1), row * width, width, u[0])
+        at = lambda cdf, k: cdf.at[k].get(mode="clip", wrap_negative_indices=False)
+        row, v = invert(lambda k: at(self.down, k), height, height, u[1])
+        column, along = invert(lambda k: at(self.along.reshape(-1), row * width + k), width, width, u[0])
         phi, theta = 2.0 * np.pi * (column + along) / width, np.pi * (row + v) / height
         s = jnp.sin(theta)
         local = Vec3(jnp.sin(phi) * s, jnp.cos(theta), -jnp.cos(phi) * s)
@@ -89,16 +90,3 @@ class Environment(eqx.Module):
         s = jnp.maximum(jnp.sin(np.pi * v), 1e-6)
         cell = self.density.reshape(-1).at[row * width + column].get(mode="clip")
         return EVEN / (4.0 * np.pi) + (1.0 - EVEN) * cell / (2.0 * np.pi**2 * s)
-
-
-def _invert(cdf: Any, offset: Any, n: int, u: Any) -> tuple[Any, Any]:
-    """The first of n entries from `offset` on that exceeds u, and where u lies between the one before and it."""
-    low, high = jnp.zeros_like(u, jnp.int32), jnp.full_like(u, n - 1, jnp.int32)
-    at = lambda k: cdf.at[offset + k].get(mode="clip", wrap_negative_indices=False)
-    for _ in range(max(n - 1, 1).bit_length()):
-        middle = (low + high) // 2
-        above = at(middle) > u
-        low, high = jnp.where(above, low, jnp.minimum(middle + 1, n - 1)), jnp.where(above, middle, high)
-    before = jnp.where(low > 0, at(jnp.maximum(low - 1, 0)), 0.0)
-    width = at(low) - before
-    return low, jnp.clip((u - before) / jnp.where(width > 0, width, 1.0), 0.0, 1.0 - 2.0**-23)

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from .brdf import LOBES, NODES, SPECTRA, MaterialColumns
-from .parts import Mesh, SceneError, Shape, TwoSided
-from .parts.textures import LUMINANCE, Bitmap, Checkerboard, MeshAttribute, Texture
+from .parts import Mesh, PhotometricWeb, SceneError, Shape, TwoSided
+from .parts.textures import LUMINANCE, TEXTURES, Bitmap, Checkerboard, MeshAttribute, Product, Texture
 from .scene import Slot
 from .texture import table_row
 
@@ -52,23 +52,50 @@ class Textures:
     def number(self, texture: Texture, name: str, shape: Shape, first: int, single: bool) -> tuple[int, np.ndarray]:
         """Its row, and its mean. `name`: of the parameter that has it, on a shape whose faces count from `first`;
         `single`: whether that is one number, and not a spectrum."""
-        on_mesh = isinstance(texture, MeshAttribute)
-        key = id(texture), single, id(shape) if on_mesh else 0
-        values = self._values(texture, name, shape)
-        if single and values.shape[1] == 3:
-            values = values @ LUMINANCE[:, None]
-        values = spread(values, self.channels, f"{name}.data")
+        key = id(texture), single, id(shape) if texture.of_mesh else 0
+        if isinstance(texture, Product):
+            return self._product(texture, key, name, shape, first, single)
+        inner = [0, 0]
+        if isinstance(texture, Checkerboard):
+            values = np.zeros((2, self.channels))
+            for k, c in enumerate(texture.colors):
+                if isinstance(c, Texture):
+                    inner[k], values[k] = self.number(c, f"{name}.color{k}", shape, first, single)
+                else:
+                    values[k] = self._spread(c, f"{name}.color{k}", single)
+        else:
+            values = self._spread(self._values(texture, name, shape), f"{name}.data", single)
         if key not in self._numbers:
             self._kept.append(texture)
             start = sum(map(len, self.texels))
             self._numbers[key] = len(self.layout)
-            self.layout.append(table_row(texture, start - 3 * first if on_mesh else start))
+            on_mesh = isinstance(texture, MeshAttribute)
+            self.layout.append(table_row(texture, start - 3 * first if on_mesh else start, inner))
             self.to_uv.append(texture.to_uv.ravel())
             self.texels.append(values)
         number = self._numbers[key]
         start = sum(map(len, self.texels[:number]))
         self._name(texture, name, start, len(values), number)
-        return number, values.mean(0)
+        return number, texture.average(values)
+
+    def _product(
+        self, texture: Product, key: Any, name: str, shape: Shape, first: int, single: bool
+    ) -> tuple[int, np.ndarray]:
+        """As of `number`; its row names those of its factors in place of texels."""
+        (a, left), (b, right) = (
+            self.number(factor, f"{name}.{side}", shape, first, single)
+            for side, factor in zip(("first", "second"), texture.factors, strict=True)
+        )
+        if key not in self._numbers:
+            self._kept.append(texture)
+            self._numbers[key] = len(self.layout)
+            self.layout.append([TEXTURES.index(texture.kind), a, b, 0, 0, 0])
+            self.to_uv.append(texture.to_uv.ravel())
+            self.texels.append(np.zeros((0, self.channels)))
+        return self._numbers[key], left * right
+
+    def _spread(self, values: np.ndarray, name: str, single: bool) -> np.ndarray:
+        return spread(values @ LUMINANCE[:, None] if single and values.shape[-1] == 3 else values, self.channels, name)
 
     def _values(self, texture: Texture, name: str, shape: Shape) -> np.ndarray:
         if not isinstance(texture, MeshAttribute):
@@ -80,9 +107,14 @@ class Textures:
 
     def _name(self, texture: Texture, name: str, start: int, count: int, number: int) -> None:
         rows = start, start + count
+        if isinstance(texture, PhotometricWeb):
+            h, v = texture.data.shape[:2]
+            self.names.add(f"{name}.data", "texels", (start + v + h, start + count), shape=(h, v, self.channels))
+            return
         if isinstance(texture, Checkerboard):
-            self.names.add(f"{name}.color0", "texels", start)
-            self.names.add(f"{name}.color1", "texels", start + 1)
+            for k, c in enumerate(texture.colors):
+                if not isinstance(c, Texture):
+                    self.names.add(f"{name}.color{k}", "texels", start + k)
         elif isinstance(texture, Bitmap):
             self.names.add(f"{name}.data", "texels", rows, shape=(*texture.data.shape[:2], self.channels))
         else:
@@ -106,7 +138,11 @@ class Materials:
             twosided, inner = True, outer if outer.back is not None else outer.bsdf
         if not hasattr(inner, "row"):
             raise SceneError(f"{shape.id or 'shape'}: {type(inner).__name__} is not a reflectance that jaxrt knows")
-        key = (id(outer), id(shape) if any(isinstance(v, MeshAttribute) for _, v in fields_of(inner)) else 0, twosided)
+        key = (
+            id(outer),
+            id(shape) if any(isinstance(v, Texture) and v.of_mesh for _, v in fields_of(inner)) else 0,
+            twosided,
+        )
         if key in self._index:
             return self._index[key]
         lobe, fields, parameters = inner.row()

@@ -140,7 +140,9 @@ class Scene(eqx.Module):
     groups: Int32[Array, "G 2"]  # first triangle and how many; they follow those that `counts` counts
     lights: Int32[Array, " L"]  # faces that emit, -1 for padding
     around_to_world: Float[Array, "1 4 4"]  # turns the enclosure's texture
-    lamps: Float[Array, "D 12"]  # without extent: position, direction, angles of cutoff and beam (radians), kind, up
+    # Without extent: position, direction, angles of cutoff and beam (radians), kind, up; see `row` of each part. Where
+    # the cutoff stands a goniometric one has the number of its web.
+    lamps: Float[Array, "D 12"]
     lamp_radiance: Int32[Array, " D"]  # row of radiance, where their intensity is; 0 for padding
     sensor_to_world: Float[Array, "N 4 4"]
     lens: Float[Array, "N 5"]  # fov (degrees), near, far, aperture radius, focus distance

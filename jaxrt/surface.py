@@ -123,7 +123,7 @@ def surface_point(world: World, face: Any, o: Vec3, d: Vec3) -> SurfacePoint:
     if plan.tangents:
         tangent, bitangent = _tangents(world, row, number, p, (u, v), out, turn, extra)
         given = (dot(tangent, tangent) > 0) & ~miss
-        frame = Frame.around(shading)
+        frame = Frame.around(normal)  # as Mitsuba, and not about the shading normal
         tangent = where(given, tangent, frame.s)
         bitangent = where(given, bitangent, frame.t) if plan.bumps else None
     place = coordinates.place(world, row, number, (u, v), out, height) if plan.coordinates else None

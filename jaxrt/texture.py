@@ -1,20 +1,24 @@
-"""Textures looked up at a point: bitmaps, checkerboards, and values of a mesh's vertices or faces."""
+"""Textures looked up at a point: bitmaps, checkerboards, values of a mesh's vertices or faces, and products of two."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 
 from .parts.textures import FILTERS, TEXTURES, WRAPS, Bitmap, Texture
+from .parts.web import PhotometricWeb
 from .vector import Spectrum, where
 
 if TYPE_CHECKING:
     from .scene import Scene
 
 LAYOUT = ("kind", "offset", "width", "height", "filter", "wrap")
-"""Columns of the table of whole numbers that a texture has."""
+"""Columns of the table of whole numbers that a texture has. A checkerboard has the numbers of the textures in its
+squares, 0 for a colour, where a bitmap has its filter and how it goes on."""
 
 
 class Place(eqx.Module):
@@ -26,32 +30,57 @@ class Place(eqx.Module):
 
 
 class Textures(eqx.Module):
-    """The textures of a world. `texels` (T, C); `layout`, see `LAYOUT`; `to_uv`; kinds that there are."""
+    """The textures of a world. `texels` (T, C); `layout`, see `LAYOUT`; `to_uv`; kinds that there are; how many
+    checkerboards a texture stands in, at most."""
 
     texels: Any
     layout: Any
     to_uv: Any
     kinds: tuple[str, ...] = eqx.field(static=True)
+    nested: int = eqx.field(static=True)
 
     @classmethod
-    def of(cls, scene: Scene, channels: int, kinds: tuple[str, ...]) -> Textures:
-        return cls(scene.texels[:, :channels], scene.textures, scene.to_uv, kinds)
+    def of(cls, scene: Scene, channels: int, kinds: tuple[str, ...], nested: int) -> Textures:
+        return cls(scene.texels[:, :channels], scene.textures, scene.to_uv, kinds, nested)
 
     def at(self, index: Any, place: Place) -> Spectrum:
         """The value of texture `index` (1 or more; anything for less) at a place."""
-        layout, m = (_row(table, jnp.maximum(index, 0)) for table in (self.layout, self.to_uv))
-        u, v = (m[k] * place.uv[0] + m[k + 1] * place.uv[1] + m[k + 2] for k in (0, 3))
+        index = self._inner(index, place)
+        value = self._plain(index, place)
+        if "product" in self.kinds:
+            layout = _row(self.layout, jnp.maximum(index, 0))
+            first, second = (self._plain(self._inner(layout[k], place), place) for k in (1, 2))
+            value = where(layout[0] == TEXTURES.index("product"), first * second, value)
+        return value
+
+    def _inner(self, index: Any, place: Place) -> Any:
+        """From a checkerboard to the texture of the square."""
+        for _ in range(self.nested):
+            layout, u, v = self._place(index, place)
+            inner = jnp.where(_is_first(u, v), layout[4], layout[5])
+            index = jnp.where((layout[0] == TEXTURES.index("checkerboard")) & (inner > 0), inner, index)
+        return index
+
+    def _plain(self, index: Any, place: Place) -> Spectrum:
+        """The value of a texture that is made of no others."""
+        layout, u, v = self._place(index, place)
         value = None
-        for kind in self.kinds:
+        for kind in (kind for kind in self.kinds if kind in _LOOK_UP):
             one = _LOOK_UP[kind](self.texels, layout, u, v, place)
             value = one if value is None else where(layout[0] == TEXTURES.index(kind), one, value)
         assert value is not None
         return value
 
-    def slope(self, index: Any, place: Place) -> tuple[Any, Any]:
-        """Derivatives of a bitmap's first channel with respect to u and v of the surface; 0 of other textures."""
+    def _place(self, index: Any, place: Place) -> tuple[Any, Any, Any]:
+        """A texture's row of `layout`, and the coordinates of a place in it."""
         layout, m = (_row(table, jnp.maximum(index, 0)) for table in (self.layout, self.to_uv))
         u, v = (m[k] * place.uv[0] + m[k + 1] * place.uv[1] + m[k + 2] for k in (0, 3))
+        return layout, u, v
+
+    def slope(self, index: Any, place: Place) -> tuple[Any, Any]:
+        """Derivatives of a bitmap's first channel with respect to u and v of the surface; 0 of other textures."""
+        layout, u, v = self._place(index, place)
+        m = _row(self.to_uv, jnp.maximum(index, 0))
         (a, b), (c, d), fu, fv = _four(self.texels[:, :1], layout, u, v)
         low, high = b.channels[0] - a.channels[0], d.channels[0] - c.channels[0]
         left, right = c.channels[0] - a.channels[0], d.channels[0] - b.channels[0]
@@ -97,9 +126,13 @@ def _bitmap(texels: Any, layout: Any, u: Any, v: Any, place: Place) -> Spectrum:
     return low + (high - low) * fy
 
 
+def _is_first(u: Any, v: Any) -> Any:
+    """Whether a point lies in a square of the first colour of a checkerboard."""
+    return (u - jnp.floor(u) > 0.5) == (v - jnp.floor(v) > 0.5)
+
+
 def _checkerboard(texels: Any, layout: Any, u: Any, v: Any, place: Place) -> Spectrum:
-    same = (u - jnp.floor(u) > 0.5) == (v - jnp.floor(v) > 0.5)
-    return where(same, _texel(texels, layout[1]), _texel(texels, layout[1] + 1))
+    return where(_is_first(u, v), _texel(texels, layout[1]), _texel(texels, layout[1] + 1))
 
 
 def _attribute(texels: Any, layout: Any, u: Any, v: Any, place: Place) -> Spectrum:
@@ -112,13 +145,23 @@ def _attribute(texels: Any, layout: Any, u: Any, v: Any, place: Place) -> Spectr
 _LOOK_UP = {"bitmap": _bitmap, "checkerboard": _checkerboard, "attribute": _attribute}
 
 
-def table_row(texture: Texture, offset: int) -> list[int]:
-    """The row of a texture in the table of whole numbers; `offset`: of its first texel."""
+def table_row(texture: Texture, offset: int, inner: Sequence[int]) -> list[int]:
+    """The row of a texture in the table of whole numbers; `offset`: of its first texel; `inner`: numbers of the
+    textures of a checkerboard."""
+    if isinstance(texture, PhotometricWeb):  # which no surface has; see emitter.goniometric
+        return [-1, offset, len(texture.vertical), len(texture.horizontal), 0, 0]
     kind = TEXTURES.index(texture.kind)
     if not isinstance(texture, Bitmap):
-        return [kind, offset, 1, 1, 0, 0]
+        return [kind, offset, 1, 1, *inner]
     height, width = texture.data.shape[:2]
     return [kind, offset, width, height, FILTERS.index(texture.filter), WRAPS.index(texture.wrap)]
 
 
-__all__ = ["LAYOUT", "Place", "Textures", "table_row"]
+def inner_numbers(layout: np.ndarray, numbers: np.ndarray) -> np.ndarray:
+    """The numbers of textures in the squares of those among textures `numbers` that are checkerboards."""
+    of_kind = layout[numbers, 0] == TEXTURES.index("checkerboard")
+    inner = np.unique(layout[numbers[of_kind], 4:])
+    return inner[inner > 0]
+
+
+__all__ = ["LAYOUT", "Place", "Textures", "inner_numbers", "table_row"]

@@ -210,7 +210,8 @@ def _power(lamps: Any, intensity: Any, radius: Any) -> Any:
     """Flux of each lamp without extent over π: what area times radiance is of a face."""
     kind, cutoff = lamps[:, 8], lamps[:, 6]
     cap = 2.0 * (1.0 - jnp.cos(cutoff))
-    share = jnp.where(kind == LAMPS.index("point"), 4.0, jnp.where(kind == LAMPS.index("spot"), cap, radius * radius))
+    share = jnp.where(kind == LAMPS.index("spot"), cap, radius * radius)
+    share = jnp.where((kind == LAMPS.index("point")) | (kind == LAMPS.index("goniometric")), 4.0, share)
     share = jnp.where(kind == LAMPS.index("projector"), 4.0 / np.pi * lamps[:, 6] * lamps[:, 7], share)
     return intensity * share
 
@@ -319,7 +320,7 @@ def prepare(scene: Scene, plan: Plan) -> World:
         present=scene.counts[0] >= 0,
         instances=instances,
         environment=Environment.of(scene, plan.environment) if plan.environment else None,
-        textures=Textures.of(scene, plan.channels, plan.textures) if plan.textures else None,
+        textures=Textures.of(scene, plan.channels, plan.textures, plan.nested) if plan.textures or plan.web else None,
         plan=plan,
         inner=len(scene.materials) if plan.nodes else 0,
         blocks=scene.blocks,

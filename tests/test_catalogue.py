@@ -128,6 +128,12 @@ def test_crop_windows_principal_points_and_filters(kind, tmp_path):
     check(tmp_path, text)
 
 
+def test_emitters_that_only_light_tracing_sees(tmp_path):
+    beam = '<emitter type="directionalarea"><rgb name="radiance" value="90,80,70"/></emitter>'
+    shape = two(beam, f'<bsdf type="diffuse"/>{beam}')
+    check(tmp_path, SCENE.format(depth=3, emitter=CONSTANT, shape=shape))
+
+
 def test_indices_of_refraction():
     from jaxrt.files.indices import INDICES
 

@@ -117,6 +117,25 @@ TEXTURED = {
     </transform><emitter type="area">{bitmap("radiance", "colours.png")}</emitter></shape>""",
 }
 
+CHECKERS_IN = '<texture type="checkerboard" name="{}">{}</texture>'
+INNER = bitmap("color0", "colours.png", NEAREST.format("mirror")) + '<rgb name="color1" value=".1,.9,.2"/>' + TURNED
+ATTRIBUTE = '<texture type="mesh_attribute" name="color1"><string name="name" value="vertex_color"/></texture>'
+TEXTURED["nested"] = (
+    two(
+        diffuse(
+            CHECKERS_IN.format(
+                "reflectance", bitmap("color0", "colours.png", TURNED) + CHECKERS_IN.format("color1", INNER)
+            )
+        ),
+        rough("ggx", CHECKERS_IN.format("alpha", bitmap("color1", "grey.png", RAW)) + GOLD),
+    )
+    + SHEET.format(diffuse(CHECKERS_IN.format("reflectance", ATTRIBUTE))).replace(
+        "<rotate", '<translate y="2"/><rotate'
+    )
+    + f"""<shape type="rectangle"><transform name="to_world"><lookat origin="-2,-1,2" target="0,0,0" up="0,0,1"/>
+    </transform><emitter type="area">{CHECKERS_IN.format("radiance", bitmap("color1", "bright.exr"))}</emitter></shape>"""
+)
+
 
 @pytest.mark.parametrize("name", TEXTURED)
 def test_textures(name, tmp_path, pictures):

@@ -8,6 +8,7 @@ from helpers import camera, moved, picture
 
 import jaxrt
 from jaxrt.environment import Environment
+from jaxrt.texture import Place, Textures
 from jaxrt.vector import Vec3
 
 pytestmark = pytest.mark.usefixtures("short_loops")
@@ -47,6 +48,51 @@ def test_derivatives_with_respect_to_a_picture(filter):
     assert float(got) == pytest.approx(float(want), rel=2e-3)
     grad = jax.grad(lambda v: mean(jaxrt.with_params(scene, {name: v}), plan))(jnp.asarray(COLOURS, jnp.float32))
     assert float((grad * direction).sum()) == pytest.approx(float(got), rel=1e-4)
+
+
+@pytest.mark.slow
+def test_a_product_is_that_of_its_factors_at_each_point():
+    """A picture times colours of vertices that do not vary, on paint and on a lamp, is a picture of products."""
+    square = {"vertices": [[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], "faces": [[0, 1, 2], [0, 2, 3]]}
+    square |= {"uvs": [[0, 0], [1, 0], [1, 1], [0, 1]], "attributes": {"vertex_color": np.tile([0.5, 0.25, 1], (4, 1))}}
+    lamp = square | {"emission_id": "lamp", "to_world": moved(0.5, (0.9, 0.2, 1), np.diag([-1.0, 1, -1]))}
+    sensors = [camera((0.3, -1, 3), (0, 0, 0), 6, 6, 35.0)]
+
+    def seen(texture):
+        shapes = [jaxrt.Mesh(bsdf=jaxrt.Diffuse(texture, id="paint"), **square), jaxrt.Mesh(emission=texture, **lamp)]
+        scene = jaxrt.Scene.build(shapes, sensors=sensors)
+        return scene, picture(scene, jax.random.key(0), jaxrt.plan(scene), spp=16, max_depth=3)
+
+    tint = jaxrt.MeshAttribute("vertex_color")
+    scene, got = seen(jaxrt.Product(jaxrt.Bitmap(COLOURS), tint))
+    _, want = seen(jaxrt.Bitmap(COLOURS * np.array([0.5, 0.25, 1])))
+    np.testing.assert_allclose(got, want, rtol=1e-4, atol=1e-6)
+    assert float(got.max()) > 0.01
+    assert {"paint.reflectance.first.data", "paint.reflectance.second.data"} <= set(jaxrt.params(scene))
+    assert {f"texture:{kind}" for kind in ("product", "bitmap", "attribute")} <= jaxrt.plan(scene).effects
+    with pytest.raises(jaxrt.SceneError, match="two textures, not Product"):
+        jaxrt.Product(tint, jaxrt.Product(tint, tint))
+
+
+def test_pictures_in_a_checkerboard():
+    """What a square shows is that picture by the surface's coordinates, and a parameter by itself."""
+    inner = jaxrt.Checkerboard(0.1, jaxrt.Bitmap(COLOURS, filter="nearest"), to_uv=[[2, 0, 0], [0, 2, 0]])
+    board = jaxrt.Checkerboard(inner, 0.7)
+    scene = table(jaxrt.Diffuse(board, id="paint"))
+    plan, name = jaxrt.plan(scene), "paint.reflectance.color0.color1.data"
+    assert (plan.nested, plan.textures) == (2, ("bitmap", "checkerboard"))
+    assert "nested" in plan.effects
+    assert jaxrt.params(scene)[name].shape == (3, 4, 3)
+    assert "paint.reflectance.color0" not in jaxrt.params(scene)
+    looked_up = Textures.of(scene, 3, plan.textures, plan.nested)
+    u, v = np.random.default_rng(0).random((2, 200)).astype(np.float32)
+    at = jax.jit(jax.vmap(lambda u, v: looked_up.at(3, Place((u, v), 0, (u, v))).array()))
+    texel = COLOURS[(v * 3).astype(int), (u * 4).astype(int)]
+    first = lambda u, v: ((u % 1 > 0.5) == (v % 1 > 0.5))[:, None]
+    want = np.where(first(u, v), np.where(first(2 * u, 2 * v), 0.1, texel), 0.7)
+    np.testing.assert_allclose(at(u, v), want, rtol=1e-6)
+    got, moved_by = slope(scene, name, np.ones((3, 4, 3), np.float32), plan)
+    assert float(got) == pytest.approx(float(moved_by), rel=2e-3)
 
 
 def test_derivatives_with_respect_to_a_mixture():
@@ -131,8 +177,9 @@ def test_plans_of_textures():
     plain, painted = table(jaxrt.Diffuse(0.5)), table(jaxrt.Diffuse(jaxrt.Bitmap(COLOURS)))
     mixed, sky = table(jaxrt.Mask(jaxrt.Diffuse(0.5))), environment(COLOURS)
     plan = jaxrt.plan(plain)
-    assert (plan.textures, plan.nodes, plan.environment, plan.coordinates, plan.tangents) == (
+    assert (plan.textures, plan.nested, plan.nodes, plan.environment, plan.coordinates, plan.tangents) == (
         (),
+        0,
         (),
         None,
         False,
@@ -155,6 +202,10 @@ def test_plans_of_textures():
         (lambda: jaxrt.Bitmap(np.full((2, 2), np.nan)), "not finite"),
         (lambda: jaxrt.Bitmap(np.ones((2, 2)), wrap="never"), "is not one of repeat"),
         (lambda: jaxrt.Diffuse(jaxrt.Bitmap(np.full((2, 2), 1.5))), "at most 1"),
+        (
+            lambda: jaxrt.Diffuse(jaxrt.Checkerboard(jaxrt.Bitmap(np.full((2, 2), 1.5)))),
+            "color0.data: is 1.5; .*at most 1",
+        ),
         (lambda: jaxrt.Point(intensity=jaxrt.Bitmap(np.ones((2, 2)))), "takes no texture"),
         (lambda: jaxrt.NormalMap(jaxrt.Diffuse(), 0.5), "is no texture"),
         (lambda: jaxrt.BumpMap(jaxrt.Diffuse(), jaxrt.Checkerboard()), "is no Bitmap"),

@@ -1,4 +1,4 @@
-"""Lamps without extent: points, spots, and beams from afar. Only light samples find them; nothing can meet them."""
+"""Lamps without extent: points, spots, projectors, beams from afar. Only light samples find them."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from ..surface import _vec, textured
 from ..texture import Place
 from ..vector import Spectrum, Vec3, cross, dot, normalise, safe_sqrt, where
 from ..world import World
+from . import goniometric
 
 ALONE = 1e30
 """Stands for the density of a direction that nothing else can draw, in weights against reflection."""
@@ -41,6 +42,10 @@ def sample(world: World, x: Vec3, row: Any) -> tuple[Vec3, Any, Spectrum, Any, A
         here = kind == LAMPS.index("projector")
         radiance = where(here, light, radiance)
         seen = jnp.where(here, inside, seen)
+    if plan.web:
+        here = kind == LAMPS.index("goniometric")
+        light = goniometric.intensity(world, jnp.where(here, row[6], 0.0), axis, _vec(row, 9), -to)
+        radiance = where(here, light, radiance)
     radiance = radiance * seen
     chance = row[13]
     return w, distance, radiance, chance, jnp.where(chance > 0, ALONE, 0.0)

@@ -36,7 +36,8 @@ def load_description(path: str | Path, /, **defaults: str | float) -> Descriptio
 
         found, more = load_gltf(path), {}
     else:
-        from .mesh import load_obj, load_ply
+        from .obj import load_obj
+        from .ply import load_ply
 
         found, more = load_obj(path) if suffix == ".obj" else load_ply(path), {"orient": True}
     try:

@@ -12,11 +12,11 @@ from .. import parts
 from . import mitsuba_xml
 from .mitsuba_context import Context
 from .mitsuba_integrators import integrator
-from .mitsuba_lamps import ENCLOSURES, LAMPS, enclosure, lamp
-from .mitsuba_materials import bsdf
+from .mitsuba_lamps import ENCLOSURES, LAMPS, SKIES, enclosure, lamp
+from .mitsuba_materials import UNSEEN, bsdf
 from .mitsuba_nodes import OBJECTS
 from .mitsuba_sensors import sensor
-from .mitsuba_shapes import shape
+from .mitsuba_shapes import shape, unmerged
 from .mitsuba_xml import Document, Element
 
 
@@ -40,6 +40,7 @@ def _describe(document: Document) -> parts.Description:
     objects: dict[str, list[Element]] = {
         tag: list(dict.fromkeys(ctx.children(root, tag))) for tag in sorted(OBJECTS | {"spectrum"})
     }
+    objects["shape"] = unmerged(ctx, objects["shape"])
     made = [shape(ctx, element, f"shape_{i}") for i, element in enumerate(objects["shape"])]
     shapes = [s for s in made if not isinstance(s, parts.Group)]  # a group alone is not in the scene
     if not shapes:
@@ -51,6 +52,7 @@ def _describe(document: Document) -> parts.Description:
         objects["integrator"][1].fail("is a second integrator; keep one")
     for element in objects["integrator"]:
         fields |= integrator(ctx, element)
+    _check_unseen(ctx, objects, fields.get("hide_emitters", False))
     around = _enclosure(ctx, [e for e in objects["emitter"] if e.plugin not in LAMPS])
     found = [e for e in objects["emitter"] if e.plugin in LAMPS]
     lamps = [lamp(ctx, element, f"{element.plugin}_{k}" if k else element.plugin) for k, element in enumerate(found)]
@@ -78,11 +80,25 @@ def _sensors(ctx: Context, elements: list[tuple[Element, Any]]) -> list[tuple[pa
     return sensors
 
 
+def _check_unseen(ctx: Context, objects: dict[str, list[Element]], hidden: bool) -> None:
+    """Fail where an emitter that only light tracing sees is more, or less, than a dark surface in Mitsuba's picture."""
+    asked = [e for given in objects["integrator"] for e in (given, *ctx.children(given, "integrator"))]
+    for element in [e for owner in objects["shape"] for e in ctx.children(owner, "emitter") if e.plugin == UNSEEN]:
+        if hidden:
+            element.fail("is hidden by hide_emitters, which here hides what shines only; remove its shape")
+        if any(e.plugin == "ptracer" for e in asked):
+            element.fail(
+                "is seen by the light tracing of ptracer, which jaxrt does not do; use an area emitter, or path"
+            )
+
+
 def _enclosure(ctx: Context, elements: list[Element]) -> parts.Enclosure | None:
     found = None
     for element in elements:
-        if element.plugin == "area":
+        if element.plugin in ("area", UNSEEN):
             continue  # it belongs to the shape that references it
+        if element.plugin in SKIES:
+            element.fail("is not supported, for it needs Mitsuba's tables; scenes/bake_sky.py makes an envmap of it")
         if element.plugin not in ENCLOSURES:
             element.fail(f"is not supported; use {', '.join((*LAMPS, *ENCLOSURES))}, or area in a shape")
         if found is not None:

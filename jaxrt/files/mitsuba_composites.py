@@ -9,6 +9,7 @@ import numpy as np
 
 from .. import parts
 from .mitsuba_context import Context
+from .mitsuba_textures import as_number
 from .mitsuba_xml import Element
 
 Reader = Callable[[Context, Element, str], Any]
@@ -45,7 +46,7 @@ def _number(ctx: Context, element: Element, name: str, default: float | None, co
     if value is None:
         element.fail(f"has no {name}; add a texture or a <float>")
     if isinstance(value, parts.Texture):
-        return value
+        return as_number(value)
     value = np.atleast_1d(value)
     return float(value @ parts.LUMINANCE) if value.size == 3 else float(value[0])
 

@@ -76,6 +76,7 @@ LAMPS: dict[str, tuple[Any, Any]] = {
 
 
 ENCLOSURES = ("constant", "envmap")
+SKIES = ("sunsky", "timed_sunsky")  # whose tables come with Mitsuba
 
 
 def enclosure(ctx: Context, element: Element) -> parts.Enclosure:

@@ -15,7 +15,7 @@ from .indices import INDICES
 from .mitsuba_composites import READERS
 from .mitsuba_context import Context
 from .mitsuba_principled import RATES, principled, principled_thin
-from .mitsuba_textures import TEXTURES, texture
+from .mitsuba_textures import TEXTURES, as_number, texture
 from .mitsuba_xml import Element
 
 
@@ -167,7 +167,7 @@ def _rough_plastic(ctx: Context, element: Element, name: str) -> dict[str, Any]:
 def _roughness(ctx: Context, element: Element, name: str) -> Any:
     alpha = color(ctx, element, name, 0.1, "ior")
     if isinstance(alpha, parts.Texture):
-        return alpha
+        return as_number(alpha)
     alpha = np.atleast_1d(alpha)
     if (alpha != alpha[0]).any():
         element.fail(f"{name} is a colour; give a <float>")
@@ -196,17 +196,28 @@ SAMPLING = {"sampling_weight": "is a matter of sampling, and has no effect here"
 """Parameters of emitters that change no picture."""
 
 
+UNSEEN = "directionalarea"
+"""Mitsuba's emitter along the normals of a shape. Only a path that begins at it has that direction, so `path` and its
+like see a black surface; light tracing alone sees its light."""
+
+
 def area_emission(ctx: Context, element: Element, place: str) -> tuple[Any, str]:
-    """Radiance of an area emitter and its name: the same two for every shape that references it."""
+    """Radiance of an area emitter (None of one that nothing sees) and its name: the same two for every shape that
+    references it."""
 
     def build() -> tuple[Any, str]:
-        if element.plugin != "area":
+        if element.plugin not in ("area", UNSEEN):
             element.fail("cannot stand in a shape; use an area emitter there")
         if "to_world" in element.values:
             element.fail("has a to_world, but moves with its shape; remove it")
         name = ctx.name(element, place)
         radiance = color(ctx, element, "radiance", 1.0, "radiance")
         ctx.finish(element, SAMPLING)
-        return ctx.part(element, lambda: parts.varying(radiance, f"{name}.radiance")), name
+        emission = ctx.part(element, lambda: parts.varying(radiance, f"{name}.radiance"))
+        if element.plugin == UNSEEN:
+            ctx.notes.append(
+                f"{element.node.label}: is seen by light tracing alone; here, as in Mitsuba's path, it is dark"
+            )
+        return (None if element.plugin == UNSEEN else emission), name
 
     return ctx.once(element, build)

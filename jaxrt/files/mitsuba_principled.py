@@ -10,6 +10,7 @@ import numpy as np
 from .. import parts
 from . import spectra
 from .mitsuba_context import Context
+from .mitsuba_textures import as_number
 from .mitsuba_xml import Element
 
 _SAMPLED = (
@@ -28,8 +29,10 @@ def _color(ctx: Context, element: Element, name: str, default: Any, role: spectr
 
 def _scalar(ctx: Context, element: Element, name: str, default: float | None) -> Any:
     given = _color(ctx, element, name, default, "ior")
-    if given is None or isinstance(given, parts.Texture):
+    if given is None:
         return given
+    if isinstance(given, parts.Texture):
+        return as_number(given)
     value = np.atleast_1d(given)
     if (value != value[0]).any():
         element.fail(f"{name} is a colour; give a <float>")

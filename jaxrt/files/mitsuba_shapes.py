@@ -1,7 +1,8 @@
-"""Shapes of a Mitsuba scene as parts, with the normals that Mitsuba gives them."""
+"""Shapes of a Mitsuba scene as parts."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,7 @@ from .. import parts
 from . import transforms
 from .mitsuba_context import Context
 from .mitsuba_materials import area_emission, bsdf
+from .mitsuba_meshes import READERS, mesh
 from .mitsuba_xml import Element
 
 
@@ -19,14 +21,27 @@ def shape(ctx: Context, element: Element, place: str) -> parts.Shape | parts.Gro
     return ctx.once(element, lambda: make(ctx, element, place))
 
 
+def unmerged(ctx: Context, elements: Iterable[Element]) -> list[Element]:
+    """The shapes, each once, with those in a <shape type="merge"> in its place: joined or not, they look the same."""
+    found: list[Element] = []
+    for element in elements:
+        if element.plugin == "merge":
+            found += unmerged(ctx, ctx.children(element, "shape"))
+            ctx.finish(element)
+        else:
+            found.append(element)
+    return list(dict.fromkeys(found))
+
+
 def _shape(ctx: Context, element: Element, place: str) -> parts.Shape:
     if element.plugin not in _SHAPES:
-        element.fail(f"is not supported; use {', '.join(_SHAPES)}, shapegroup or instance")
+        remedy = _INSTEAD.get(element.plugin, f"use {', '.join(_SHAPES)}, merge, shapegroup or instance")
+        element.fail(f"is not supported; {remedy}")
     name = ctx.name(element, place)
     emitter, reflector = ctx.child(element, "emitter"), ctx.child(element, "bsdf")
     emission, emission_id = area_emission(ctx, emitter, f"{name}.emitter") if emitter else (None, "")
     # without a BSDF, Mitsuba's emitters are black and other shapes are diffuse
-    default = parts.Diffuse(0.5 if emission is None else 0.0, id=f"{name}.bsdf")
+    default = parts.Diffuse(0.5 if emitter is None else 0.0, id=f"{name}.bsdf")
     fields: dict[str, Any] = {
         "id": name,
         "to_world": ctx.transform(element),
@@ -45,8 +60,9 @@ def _shape(ctx: Context, element: Element, place: str) -> parts.Shape:
 
 def _group(ctx: Context, element: Element, place: str) -> parts.Group:
     name = ctx.name(element, place)
-    members = [shape(ctx, member, f"{name}.shape_{k}") for k, member in enumerate(ctx.children(element, "shape"))]
-    if any(ctx.children(member, "sensor") for member in ctx.children(element, "shape")):
+    inside = unmerged(ctx, ctx.children(element, "shape"))
+    members = [shape(ctx, member, f"{name}.shape_{k}") for k, member in enumerate(inside)]
+    if any(ctx.children(member, "sensor") for member in inside):
         element.fail("holds a sensor; put one into shapes of the scene only")
     if any(isinstance(member, (parts.Group, parts.Instance)) for member in members):
         element.fail("holds a group or an instance; put the shapes themselves there")
@@ -104,63 +120,20 @@ def _straightened(m: np.ndarray, p0: np.ndarray, p1: np.ndarray, radius: float) 
     return {"to_world": rigid, "p0": [0.0, 0.0, 0.0], "p1": [0.0, 0.0, stretch * length], "radius": radius * size}
 
 
-def _mesh(ctx: Context, element: Element, fields: dict[str, Any]) -> dict[str, Any]:
-    """Normals as Mitsuba has them: the file's, else smooth ones computed in the world, else (face_normals) none."""
-    from .mesh import read_obj, read_ply, smooth_normals
-
-    path = ctx.file(element)
-    obj = element.plugin == "obj"
-    flip_v = ctx.boolean(element, "flip_tex_coords", obj)
-    try:
-        mesh = read_obj(path, flip_v) if obj else read_ply(path)
-    except parts.SceneError as problem:
-        element.fail(problem)
-    vertices, faces, normals, uvs = mesh.vertices, mesh.faces, mesh.normals, mesh.uvs
-    if not obj and flip_v and uvs is not None:
-        uvs = np.stack([uvs[:, 0], 1 - uvs[:, 1]], 1)
-    linear = fields["to_world"][:3, :3]
-    if ctx.boolean(element, "face_normals", False):
-        normals = None
-    else:
-        world = vertices @ linear.T
-        if normals is None:
-            normals = smooth_normals(world, faces)
-        else:
-            normals = _unit(normals @ np.linalg.inv(linear))
-            faces = _wound(world, faces, normals)
-        # back into the shape's space: a normal's way to the world is the inverse transpose
-        normals = None if _flat_anyway(world, faces, normals) else _unit(normals @ linear)
-    return {"vertices": vertices, "faces": faces, "normals": normals, "uvs": uvs, "attributes": mesh.attributes}
-
-
-def _wound(vertices: np.ndarray, faces: np.ndarray, normals: np.ndarray) -> np.ndarray:
-    """Faces wound so that their front is where the vertex normals point, which is what counts in Mitsuba."""
-    opposed = (_crossed(vertices, faces) * normals[faces].sum(1)).sum(1) < 0
-    return np.where(opposed[:, None], faces[:, ::-1], faces)
-
-
-def _flat_anyway(vertices: np.ndarray, faces: np.ndarray, normals: np.ndarray) -> bool:
-    """Whether vertex normals only repeat the faces' (to float32), so that the picture is the same without them."""
-    face = _crossed(vertices, faces)
-    proper = (face != 0).any(1)
-    return bool((abs(normals[faces[proper]] - _unit(face[proper])[:, None]) < 1e-6).all())
-
-
-def _crossed(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    a, b, c = (vertices[faces[:, k]] for k in range(3))
-    return np.cross(b - a, c - a)
-
-
-def _unit(v: np.ndarray) -> np.ndarray:
-    return v / np.linalg.norm(v, axis=-1, keepdims=True)
-
-
 _SHAPES: dict[str, tuple[Any, Any]] = {
     "rectangle": (parts.Rectangle, _flat),
     "cube": (parts.Cube, _flat),
     "disk": (parts.Disk, None),
     "sphere": (parts.Sphere, _sphere),
     "cylinder": (parts.Cylinder, _cylinder),
-    "obj": (parts.Mesh, _mesh),
-    "ply": (parts.Mesh, _mesh),
+    **dict.fromkeys(READERS, (parts.Mesh, mesh)),
+}
+
+_TUBES = "make a mesh of the curves, or cylinders and spheres"
+_INSTEAD = {
+    "sdfgrid": "extract its surface as a mesh (marching cubes), and take that as ply",
+    "bsplinecurve": _TUBES,
+    "linearcurve": _TUBES,
+    "ellipsoids": "make a mesh of each ellipsoid",
+    "ellipsoidsmesh": "make a mesh of each ellipsoid",
 }

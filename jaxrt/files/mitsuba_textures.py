@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any
 
 import numpy as np
@@ -29,6 +30,14 @@ def texture(ctx: Context, element: Element, color: Any, most: float) -> parts.Te
     return ctx.once(element, build)
 
 
+def as_number(texture: parts.Texture) -> parts.Texture:
+    """A texture where one number is asked for: there Mitsuba 3 has a checkerboard's colours the other way around."""
+    if not isinstance(texture, parts.Checkerboard):
+        return texture
+    first, second = (as_number(c) if isinstance(c, parts.Texture) else c for c in texture.colors)
+    return dataclasses.replace(texture, color0=second, color1=first)
+
+
 def _bitmap(ctx: Context, element: Element, color: Any, most: float) -> tuple[Any, dict[str, Any]]:
     raw = ctx.boolean(element, "raw", False)
     filter_type, wrap = ctx.string(element, "filter_type", "bilinear"), ctx.string(element, "wrap_mode", "repeat")
@@ -47,9 +56,12 @@ def _bitmap(ctx: Context, element: Element, color: Any, most: float) -> tuple[An
 
 
 def _checkerboard(ctx: Context, element: Element, color: Any, most: float) -> tuple[Any, dict[str, Any]]:
-    colors = {
-        key: color(ctx, element, key, default, "reflectance") for key, default in (("color0", 0.4), ("color1", 0.2))
-    }
+    colors: dict[str, Any] = {}
+    for key, default in (("color0", 0.4), ("color1", 0.2)):
+        nested = ctx.named(element, key)
+        textured = nested is not None and nested.tag == "texture" and nested.plugin in TEXTURES
+        given = lambda key=key, default=default: color(ctx, element, key, default, "reflectance")
+        colors[key] = texture(ctx, nested, color, most) if nested is not None and textured else given()
     return parts.Checkerboard, colors
 
 

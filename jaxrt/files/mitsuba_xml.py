@@ -116,6 +116,7 @@ class _Reader:
                 close = difflib.get_close_matches(reference.id[:80], self.ids, 3, 0.4)
                 advice = f"did you mean {' or '.join(close)}?" if close else "add it or remove the reference"
                 reference.node.fail(f"no element has id {reference.id[:80]!r}; {advice}")
+        self.heights(root, [], {})
         unused = sorted(self.arguments - self.used)
         if unused:
             names = sorted(set(self.parameters) - self.arguments | self.used)
@@ -123,6 +124,18 @@ class _Reader:
             advice = f"did you mean {' or '.join(close)}?" if close else f"it uses: {', '.join(names) or 'none'}"
             raise error(f"{path}: no ${unused[0]} in this scene; {advice}")
         return Document(root, self.ids, search, self.notes)
+
+    def heights(self, element: Element, inside: list[Element], found: dict[Element, int]) -> int:
+        """How deep objects stand in one another, references followed: refuses what is endless, or too deep."""
+        if element in inside:
+            element.fail("stands in itself, by a reference; break the cycle")
+        if element not in found:
+            within = [self.ids[c.id] if isinstance(c, Reference) else c for _, c in element.children]
+            below = [0] if len(inside) > DEEPEST else [self.heights(e, [*inside, element], found) for e in within]
+            found[element] = 1 + max(below, default=0)
+        if len(inside) + found[element] > DEEPEST:
+            element.fail(f"is nested deeper than {DEEPEST} elements, references followed; make the scene flatter")
+        return found[element]
 
     def fill(self, parent: Element, node: Node, search: list[pathlib.Path], depth: int) -> None:
         """Read the children of `node` into `parent`. `search` is the file's, to which a <path> adds."""

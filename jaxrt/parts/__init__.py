@@ -12,12 +12,13 @@ from collections.abc import Sequence
 
 from .checks import LARGEST, SceneError, check, matrix, scalar, spectrum, unit, varying
 from .composites import Blend, BumpMap, Mask, NormalMap
-from .lamps import LAMPS, Directional, Enclosure, Lamp, Point, Projector, Spot
+from .lamps import LAMPS, Directional, Enclosure, Goniometric, Lamp, Point, Projector, Spot
 from .principled import Principled, PrincipledThin
 from .reflectances import Bsdf, Conductor, Dielectric, Diffuse, Null, Plastic, Row, TwoSided
 from .sensors import Film, Sensor
 from .shapes import Cube, Cylinder, Disk, Group, Instance, Mesh, Rectangle, Shape, Sphere
-from .textures import LUMINANCE, Bitmap, Checkerboard, MeshAttribute, Texture
+from .textures import LUMINANCE, Bitmap, Checkerboard, MeshAttribute, Product, Texture
+from .web import PhotometricWeb
 
 
 @dataclasses.dataclass
@@ -68,6 +69,7 @@ __all__ = [
     "Disk",
     "Enclosure",
     "Film",
+    "Goniometric",
     "Group",
     "Instance",
     "Integrator",
@@ -77,10 +79,12 @@ __all__ = [
     "MeshAttribute",
     "NormalMap",
     "Null",
+    "PhotometricWeb",
     "Plastic",
     "Point",
     "Principled",
     "PrincipledThin",
+    "Product",
     "Projector",
     "Rectangle",
     "Row",

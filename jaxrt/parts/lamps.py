@@ -9,8 +9,9 @@ import numpy as np
 
 from .checks import LARGEST, SceneError, check, matrix, scalar, spectrum, unit, varying
 from .textures import Bitmap, Texture
+from .web import PhotometricWeb
 
-LAMPS = ("point", "spot", "directional", "projector")
+LAMPS = ("point", "spot", "directional", "projector", "goniometric")
 """Kinds of lamps without extent, in the order of their numbers in tables."""
 
 
@@ -98,7 +99,31 @@ class Projector:
         return np.array([*m[:3, 3], *axis, half, half * height / width, number, *up], float)
 
 
-Lamp = Point | Spot | Directional | Projector
+@dataclasses.dataclass
+class Goniometric:
+    """A lamp at a point whose `intensity` (W·sr⁻¹) is a `PhotometricWeb`, as of `jaxrt.load_ies`.
+
+    In its own space vertical angle 0 is +z, where spots shine as well; there, horizontal angle 0 is +y and 90 is +x.
+    `to_world` places and turns it; its scale does not count.
+    """
+
+    intensity: Any
+    to_world: Any = dataclasses.field(default_factory=lambda: np.eye(4))
+    id: str = ""
+
+    def __post_init__(self):
+        name = self.id or "goniometric"
+        self.to_world = matrix(self.to_world, f"{name}.to_world")
+        if not isinstance(self.intensity, PhotometricWeb):
+            raise SceneError(f"{name}.intensity: is no PhotometricWeb; give one, as of jaxrt.load_ies")
+
+    def row(self) -> np.ndarray:
+        m, number = self.to_world, LAMPS.index("goniometric")
+        axis, up = (m[:3, k] / np.linalg.norm(m[:3, k]) for k in (2, 1))
+        return np.array([*m[:3, 3], *axis, 0, 0, number, *up], float)
+
+
+Lamp = Point | Spot | Directional | Projector | Goniometric
 
 
 @dataclasses.dataclass

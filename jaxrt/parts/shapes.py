@@ -101,7 +101,11 @@ class Sphere(Shape):
         self.radius = scalar(self.radius, f"{name}.radius")
         check(self.radius > 0, f"{name}.radius", f"is {self.radius:g}; give a positive one")
         s = np.linalg.svd(self.to_world[:3, :3], compute_uv=False)
-        check(s[0] - s[2] <= 1e-4 * s[0], f"{name}.to_world", "scales unevenly; a sphere needs an even scale")
+        check(
+            s[0] - s[2] <= 1e-4 * s[0],
+            f"{name}.to_world",
+            "scales unevenly; a sphere needs an even scale, or take a mesh",
+        )
 
 
 @dataclasses.dataclass(kw_only=True)
@@ -123,29 +127,40 @@ class Cylinder(Shape):
         check(self.radius > 0, f"{name}.radius", f"is {self.radius:g}; give a positive one")
         check(float(np.linalg.norm(self.p1 - self.p0)) > 0, name, "p0 and p1 coincide; give it a length")
         s = np.linalg.svd(self.to_world[:3, :3], compute_uv=False)
-        check(s[0] - s[2] <= 1e-4 * s[0], f"{name}.to_world", "scales unevenly; a cylinder needs an even scale")
+        check(
+            s[0] - s[2] <= 1e-4 * s[0],
+            f"{name}.to_world",
+            "scales unevenly; a cylinder needs an even scale, or take a mesh",
+        )
 
 
 @dataclasses.dataclass(kw_only=True)
 class Group:
-    """Meshes, rectangles and cubes that instances place in the scene; by itself it is not in it. None may emit."""
+    """Shapes that instances place in the scene; by itself it is not in it. None may emit."""
 
     shapes: Sequence[Shape]
     id: str = ""
+
+    @property
+    def flat(self) -> bool:
+        """Whether it is all triangles, or can be written as such."""
+        return all(isinstance(shape, (Mesh, Rectangle, Cube)) for shape in self.shapes)
 
     def __post_init__(self):
         name, self.shapes = self.id or "group", list(self.shapes)
         check(len(self.shapes) > 0, name, "has no shapes; give it some")
         for shape in self.shapes:
             member = getattr(shape, "id", "") or type(shape).__name__.lower()
-            flat = isinstance(shape, (Mesh, Rectangle, Cube))
-            check(flat, f"{name}.{member}", "cannot be in a group; put a mesh, a rectangle or a cube there")
+            check(isinstance(shape, Shape), f"{name}.{member}", "cannot be in a group; put the shapes themselves there")
             check(shape.emission is None, f"{name}.{member}", "emits; take it out of the group")
 
 
 @dataclasses.dataclass(kw_only=True)
 class Instance:
-    """A group placed in the scene by `to_world`; its triangles and their tables are stored once for all instances."""
+    """A group placed in the scene by `to_world`; its triangles and their tables are stored once for all instances.
+
+    Where a group has disks, spheres or cylinders, its instances are written out: shapes of the scene by themselves.
+    """
 
     group: Group
     to_world: Any = dataclasses.field(default_factory=lambda: np.eye(4))
@@ -155,7 +170,15 @@ class Instance:
         name = self.id or "instance"
         check(isinstance(self.group, Group), f"{name}.group", "is not a Group; put the shapes into one")
         self.to_world = matrix(self.to_world, f"{name}.to_world")
+        if not self.group.flat:
+            self.written_out()  # which says what cannot be placed so
 
     def written_out(self) -> list[Shape]:
-        """The group's shapes where this instance has them."""
-        return [dataclasses.replace(s, to_world=self.to_world @ s.to_world) for s in self.group.shapes]
+        """The group's shapes where this instance has them, and with their fronts where it has those."""
+        placed, mirrored = [], bool(np.linalg.det(self.to_world[:3, :3]) < 0)
+        for s in self.group.shapes:
+            more: dict[str, Any] = {"to_world": self.to_world @ s.to_world}
+            if isinstance(s, Mesh) and mirrored:  # whose front turns with the order of its vertices
+                more |= {"flip_normals": not s.flip_normals, "normals": None if s.normals is None else -s.normals}
+            placed.append(dataclasses.replace(s, **more))
+        return placed

@@ -7,9 +7,9 @@ from typing import Any, ClassVar, Literal
 
 import numpy as np
 
-from .checks import LARGEST, SceneError, check, spectrum
+from .checks import LARGEST, SceneError, check, spectrum, varying
 
-TEXTURES = ("bitmap", "checkerboard", "attribute")
+TEXTURES = ("bitmap", "checkerboard", "attribute", "product")
 """Kinds of textures, in the order of their numbers in tables; number 0 stands for none."""
 
 LUMINANCE = np.array([0.212671, 0.71516, 0.072169])
@@ -39,6 +39,11 @@ class Texture:
     def __post_init__(self):
         self.to_uv = _placed(self.to_uv, f"{self.id or type(self).__name__.lower()}.to_uv")
 
+    @property
+    def of_mesh(self) -> bool:
+        """Whether its values are a mesh's."""
+        return False
+
     def values(self) -> np.ndarray:
         """All values that it has, (N, 1 or C)."""
         raise NotImplementedError
@@ -48,8 +53,12 @@ class Texture:
             spectrum(v, f"{element}.data", least=least, most=most)
         return self
 
+    def average(self, values: np.ndarray) -> np.ndarray:
+        """The mean of values like its own ones."""
+        return values.mean(0)
+
     def mean(self) -> np.ndarray:
-        return self.values().astype(np.float64).mean(0)
+        return self.average(self.values().astype(np.float64))
 
 
 @dataclasses.dataclass(eq=False)
@@ -78,7 +87,7 @@ class Bitmap(Texture):
 
 @dataclasses.dataclass(eq=False)
 class Checkerboard(Texture):
-    """Squares of two colours, two by two to a unit of u and v."""
+    """Squares of two colours, two by two to a unit of u and v. Either may be a texture, with a `to_uv` of its own."""
 
     kind = "checkerboard"
     color0: Any = 0.4
@@ -87,10 +96,24 @@ class Checkerboard(Texture):
     def __post_init__(self):
         super().__post_init__()
         name = self.id or "checkerboard"
-        self.color0, self.color1 = (spectrum(getattr(self, k), f"{name}.{k}") for k in ("color0", "color1"))
+        self.color0, self.color1 = (varying(getattr(self, k), f"{name}.{k}") for k in ("color0", "color1"))
+
+    @property
+    def colors(self) -> tuple[Any, Any]:
+        return self.color0, self.color1
+
+    @property
+    def of_mesh(self) -> bool:
+        return any(isinstance(c, Texture) and c.of_mesh for c in self.colors)
 
     def values(self) -> np.ndarray:
-        return np.stack(np.broadcast_arrays(self.color0, self.color1))
+        """Both colours; of a texture, its mean."""
+        return np.stack(np.broadcast_arrays(*(c.mean() if isinstance(c, Texture) else c for c in self.colors)))
+
+    def checked(self, element: str, least: float, most: float) -> Texture:
+        for k, c in enumerate(self.colors):
+            varying(c, f"{element}.color{k}", least=least, most=most)
+        return self
 
 
 @dataclasses.dataclass(eq=False)
@@ -104,6 +127,10 @@ class MeshAttribute(Texture):
     def values(self) -> np.ndarray:
         return np.zeros((1, 1))  # known only with a mesh
 
+    @property
+    def of_mesh(self) -> bool:
+        return True
+
     def on(self, attributes: dict[str, np.ndarray], faces: np.ndarray, vertices: int, element: str) -> np.ndarray:
         """Values at the corners of each face, (3 F, k)."""
         found = attributes.get(self.name)
@@ -116,3 +143,36 @@ class MeshAttribute(Texture):
         want = len(faces) if per_face else vertices
         check(len(a) == want, f"{element}.{self.name}", f"has {len(a)} values; give one a face or vertex")
         return self.scale * (np.repeat(a, 3, 0) if per_face else a[faces.reshape(-1)])
+
+
+@dataclasses.dataclass(eq=False)
+class Product(Texture):
+    """Two textures, neither a product, multiplied at each point: a picture tinted by colours of vertices, say. Its own
+    `to_uv` moves neither."""
+
+    kind = "product"
+    first: Any
+    second: Any
+
+    def __post_init__(self):
+        super().__post_init__()
+        for factor in self.factors:
+            plain = isinstance(factor, Texture) and not isinstance(factor, Product)
+            check(plain, self.id or "product", f"is of two textures, not {type(factor).__name__}; give two")
+
+    @property
+    def factors(self) -> tuple[Texture, Texture]:
+        return self.first, self.second
+
+    @property
+    def of_mesh(self) -> bool:
+        return any(factor.of_mesh for factor in self.factors)
+
+    def checked(self, element: str, least: float, most: float) -> Texture:
+        for factor in self.factors:
+            factor.checked(element, least, most)
+        return self
+
+    def values(self) -> np.ndarray:
+        first, second = (factor.mean() for factor in self.factors)
+        return (first * second)[None]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import jax.numpy as jnp
@@ -74,6 +75,19 @@ def uniform_cone(u: tuple[Any, Any], one_minus_cos: Any) -> Vec3:
     height, (c, s) = u[0] * one_minus_cos, circle(u[1])
     r = safe_sqrt(height * (2.0 - height))
     return Vec3(r * c, r * s, 1.0 - height)
+
+
+def invert(at: Callable[[Any], Any], n: Any, most: int, u: Any) -> tuple[Any, Any]:
+    """The first of n numbers at(0) ≤ at(1) ≤ ... that exceeds u, and where u lies between the one before (before the
+    first: 0) and it, in [0, 1). `most`: the largest n that there may be."""
+    low, high = jnp.zeros_like(u, jnp.int32), jnp.full_like(u, n - 1, jnp.int32)
+    for _ in range(max(most - 1, 1).bit_length()):
+        middle = (low + high) // 2
+        above = at(middle) > u
+        low, high = jnp.where(above, low, jnp.minimum(middle + 1, n - 1)), jnp.where(above, middle, high)
+    before = jnp.where(low > 0, at(jnp.maximum(low - 1, 0)), 0.0)
+    width = at(low) - before
+    return low, jnp.clip((u - before) / jnp.where(width > 0, width, 1.0), 0.0, 1.0 - 2.0**-23)
 
 
 FLAT = {"triangle": uniform_triangle, "parallelogram": lambda u: u, "disk": uniform_disk}

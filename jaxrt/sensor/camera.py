@@ -66,8 +66,28 @@ def ray(
     return transform_point(to_world, o), normalise(transform_vector(to_world, d))
 
 
+def position(
+    sensor: SensorStructure, to_local: Any, lens: Any, window: Any, p: Vec3, u: Any
+) -> tuple[tuple[Any, Any], Any]:
+    """Where on the picture (pixels) a point of the world lies, seen through the place u of the lens, and how far in
+    front of the camera (m). The inverse of `ray`; `to_local` that of the sensor's `to_world`."""
+    left, top, width, height = (window[k] for k in range(4))
+    aspect = width / height
+    p = transform_point(to_local, p)
+    z = jnp.where(p.z == 0, 1.0, p.z)
+    if sensor.kind == "orthographic":
+        half, x, y = jnp.ones_like(lens[0]), p.x, p.y
+    else:
+        half, x, y = half_width(sensor.fov_axis, lens[0], aspect), p.x / z, p.y / z
+        if uses_lens(sensor) and u is not None:
+            a, b = uniform_disk(u)
+            back = 1.0 / lens[4] - 1.0 / z
+            x, y = x + a * lens[3] * back, y + b * lens[3] * back
+    return (0.5 * (1.0 - x / half) * width - left, 0.5 * (1.0 - y * aspect / half) * height - top), p.z
+
+
 def uses_lens(sensor: SensorStructure) -> bool:
     return sensor.kind == "thinlens"
 
 
-__all__ = ["CAMERAS", "half_width", "ray", "uses_lens"]
+__all__ = ["CAMERAS", "half_width", "position", "ray", "uses_lens"]

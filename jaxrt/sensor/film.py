@@ -122,3 +122,19 @@ def weight(film: tuple[Any, ...], p: Pixel, position: tuple[Any, Any]) -> Any:
         for turn in _tables(Filter(*film[2:]))[3]:
             found = jnp.where(jnp.abs(q - at - 0.5) > turn, -found, found)
     return found
+
+
+def density(film: tuple[Any, ...], p: Pixel, at: tuple[Any, Any]) -> Any:
+    """h_p at a position on the film, 1/pixel²: the density with which `sample` draws it, times its weight."""
+    f, out = Filter(*film[2:]), 1.0
+    for center, low, high, q in zip((p.column + 0.5, p.row + 0.5), p.low, p.high, at, strict=True):
+        if f.kind == "box":
+            inside, h = (q >= low) & (q < high), jnp.ones_like(q)
+        else:
+            place = (q - center + f.radius) / (2 * f.radius) * _KNOTS
+            k = jnp.clip(place.astype(jnp.int32), 0, _KNOTS - 1)
+            inside = (place >= 0) & (place < _KNOTS)
+            h = jnp.asarray(np.diff(_tables(f)[0]), q.dtype).at[k].get(mode="clip")
+            h = h * (_KNOTS / (2 * f.radius))
+        out = out * jnp.where(inside, h / jnp.maximum(high - low, 1e-30), 0.0)
+    return out if p.weight is None else out * weight(film, p, at)

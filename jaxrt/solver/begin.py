@@ -41,6 +41,10 @@ class Begin(eqx.Module):
         """What the radiance of a path counts, which a filter may make negative; None for 1."""
         return None
 
+    def meter(self, world: World, number: Any, s: Stream) -> tuple[Vec3, Vec3, Any] | None:
+        """The point that takes in all light above it, the normal there, and what it is worth, where that is so."""
+        return None
+
 
 class Picture(Begin):
     """Paths of a sensor's pixels (row · width + column, and the same again from height · width on). What is compiled of
@@ -137,6 +141,10 @@ class IrradianceMeter(Picture):
         o, frame, _ = self.frame(world, at, s)
         return o, _slope(frame, d)
 
+    def meter(self, world: World, number: Any, s: Stream) -> tuple[Vec3, Vec3, Any]:
+        o, frame, weight = self.frame(world, self.position(world, number, s), s)
+        return o, frame.n, weight
+
 
 def _choice(s: Any, area: meter.Area | None) -> Any:
     """A number to choose one of several faces by."""
@@ -216,6 +224,10 @@ class Meters(Begin):
     def before(self, world: World, number: Any, s: Stream, d: Vec3) -> tuple[Vec3, Vec3]:
         at, frame = self.frame(world, number)
         return at, _slope(frame, d)
+
+    def meter(self, world: World, number: Any, s: Stream) -> tuple[Vec3, Vec3, Any]:
+        at, frame = self.frame(world, number)
+        return at, frame.n, 1.0
 
 
 def _slope(frame: Frame, d: Vec3) -> Vec3:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import math
 from typing import Any
 
 import equinox as eqx
@@ -15,12 +16,14 @@ from jaxtyping import Array, Float
 from ..compiler import over_devices
 from ..effects import Plan
 from ..effects import plan as make_plan
+from ..gradient import silhouettes, visibility
+from ..gradient.edges import edges_of
 from ..parts import SceneError
 from ..sampling.sobol import seed_of
 from ..scene import Scene, in_working_precision
 from ..world import World, prepare
 from . import path
-from .begin import Meters, Picture, Rays, picture_of
+from .begin import Meters, Picture, Rays, View, picture_of
 
 LANES = 512
 """Rays in flight in one program: all that a bounce touches fits a core's cache (256 to 1024 measured alike)."""
@@ -30,6 +33,9 @@ APART = 2048
 
 WIDE = 8192
 """Rays in flight where a program pays for starting each kernel: under differentiation."""
+
+SILHOUETTE = 8.0
+"""Points on edges that a picture's derivative takes per sample, in units of its side."""
 
 FOLLOWED = 8
 """Landings up to which derivatives follow paths that end in a field."""
@@ -89,9 +95,12 @@ def _compensated(step: Any, start: Any, count: int) -> Any:
 
 @eqx.filter_custom_jvp
 def _means(
-    world: World, begin: Any, depths: path.Depths, seed: Any, field: Any, numbers: Any, spp: int, steps: int
+    world: World, begin: Any, depths: path.Depths, seed: Any, field: Any, edges: Any, numbers: Any, spp: int, steps: int
 ) -> Any:
-    """Means of lanes (chunks, lanes) -> (chunks, lanes, C), by the loop without reverse mode."""
+    """Means of lanes (chunks, lanes) -> (chunks, lanes, C), by the loop without reverse mode.
+
+    `edges`: those of M, for derivatives by what moves.
+    """
 
     def chunk(world: World, begin: Any, depths: path.Depths, seed: Any, field: Any, row: Any) -> Any:
         def one(k: Any) -> Any:
@@ -106,7 +115,7 @@ def _means(
 
 @_means.def_jvp
 def _means_jvp(primals: Any, tangents: Any) -> Any:
-    world, begin, depths, seed, field, numbers, spp, steps = primals
+    world, begin, depths, seed, field, edges, numbers, spp, steps = primals
     steps = FOLLOWED if field is not None and not 0 <= steps <= FOLLOWED else steps
     if steps < 0:
         raise ValueError("measure: derivatives need a finite number of bounces; give max_depth= (1 is emission only)")
@@ -117,23 +126,46 @@ def _means_jvp(primals: Any, tangents: Any) -> Any:
     def chunk(world: World, begin: Any, depths: path.Depths, seed: Any, field: Any, row: Any) -> Any:
         return path.trace_fixed(world, begin, steps, depths, seed, row, spp, field)
 
+    moves = tangents[0].geometry is not None or bool(jax.tree.leaves(tangents[1]))
+
+    def around(world: World, edges: Any, begin: Any, depths: path.Depths, seed: Any, row: Any) -> Any:
+        return visibility.surfaces(world, edges, begin, steps, depths, seed, row, spp)
+
     def fixed(world: World, begin: Any, field: Any) -> Any:
         values = over_devices(chunk, wide, world, begin, depths, seed, field)
+        if edges is not None and moves:
+            if steps > 1 or begin.searches:
+                values = values + over_devices(around, wide, world, edges, begin, depths, seed)
+            if isinstance(begin, View):
+                samples = math.ceil(spp * SILHOUETTE * math.sqrt(numbers.size))
+                seen = silhouettes.picture(world, edges, begin, depths, seed, numbers.size, samples)
+                values = values + seen[jnp.minimum(wide, numbers.size - 1)]
         return values.reshape(-1, values.shape[-1])[: numbers.size].reshape(*numbers.shape, -1)
 
     return eqx.filter_jvp(fixed, (world, begin, field), (tangents[0], tangents[1], tangents[4]))
 
 
-@functools.partial(jax.jit, static_argnames=("n", "spp", "max_depth"))
+@functools.partial(jax.jit, static_argnames=("n", "spp", "max_depth", "boundary"))
 def _pixels(
-    scene: Scene, plan: Plan, begin: Any, key: Any, depths: path.Depths, field: Any, *, n: int, spp: int, max_depth: int
+    scene: Scene,
+    plan: Plan,
+    begin: Any,
+    key: Any,
+    depths: path.Depths,
+    field: Any,
+    *,
+    n: int,
+    spp: int,
+    max_depth: int,
+    boundary: bool,
 ) -> Any:
     """Means of lanes 0..n−1, (n, C); compiled once for scenes and beginnings of one structure."""
     scene, begin = in_working_precision((scene, begin))
     world = prepare(scene, plan)
     numbers = _chunks(jnp.arange(n, dtype=jnp.int32), lanes_of(plan))
     steps = max_depth + 2 * plan.hide_emitters if max_depth > 0 else max_depth  # to pass both sides of a lamp
-    values = _means(world, begin, depths, seed_of(key), field, numbers, spp, steps)
+    edges = edges_of(scene, world) if boundary else None
+    values = _means(world, begin, depths, seed_of(key), field, edges, numbers, spp, steps)
     return jnp.broadcast_to(values.reshape(-1, plan.channels)[:n], (n, plan.out_channels))
 
 
@@ -153,6 +185,7 @@ def measure(
     rr_depth: int | None = None,
     sensor: int = 0,
     radiance: Any = None,
+    boundary: bool = True,
 ) -> Float[Array, "height width channels"]:
     """A picture, as a pure function of scene and key: jit, grad, jvp and vmap apply.
 
@@ -173,7 +206,7 @@ def measure(
         has, asked = radiance.max_depth, depths.max_depth
         raise SceneError(f"radiance: the field is of max_depth {has}, the picture of {asked}; give one for both")
     field = None if radiance is None else radiance.stored
-    image = _pixels(scene, plan, view, key, depths, field, n=n, spp=spp, max_depth=depths.max_depth)
+    image = _pixels(scene, plan, view, key, depths, field, n=n, spp=spp, max_depth=depths.max_depth, boundary=boundary)
     tones = scene.structure.sensors[sensor].tones(image.shape[-1])
     image = image if tones is None else image @ jnp.asarray(tones, image.dtype)
     return image.reshape(height, width, -1)
@@ -197,13 +230,14 @@ def radiance(
     plan: Plan | None = None,
     spp: int = 64,
     max_depth: int | None = None,
+    boundary: bool = True,
 ) -> Float[Array, "*batch channels"]:
     """Radiance that arrives at points (m) along rays: L(ψ(o, ω), −ω), W·m⁻²·sr⁻¹. Directions are normalised.
 
     Pure like `measure`, and differentiable as it is, in points and directions too.
     """
     o, d, batch = _rays(points, directions)
-    return _along(scene, Rays(o, d), key, plan, spp, max_depth).reshape(*batch, -1)
+    return _along(scene, Rays(o, d), key, plan, spp, max_depth, boundary).reshape(*batch, -1)
 
 
 def irradiance(
@@ -215,22 +249,25 @@ def irradiance(
     plan: Plan | None = None,
     spp: int = 64,
     max_depth: int | None = None,
+    boundary: bool = True,
 ) -> Float[Array, "*batch channels"]:
     """Irradiance E = ∫ L_i dμ (W·m⁻²) at points (m) on the side of `normals`, by light and cosine sampling.
 
     Pure like `measure`, and differentiable as it is, in points and normals too.
     """
     o, n, batch = _rays(points, normals)
-    return _along(scene, Meters(o, n), key, plan, spp, max_depth).reshape(*batch, -1)
+    return _along(scene, Meters(o, n), key, plan, spp, max_depth, boundary).reshape(*batch, -1)
 
 
-def _along(scene: Scene, begin: Any, key: Any, plan: Plan | None, spp: int, max_depth: int | None) -> Any:
+def _along(
+    scene: Scene, begin: Any, key: Any, plan: Plan | None, spp: int, max_depth: int | None, boundary: bool
+) -> Any:
     plan = _plan_of(scene, plan, spp)
     depths = dataclasses.replace(depths_of(scene, max_depth), hide_emitters=False)  # a meter sees all light
     n = begin.points.shape[0]
     if n == 0:
         return jnp.zeros((0, plan.out_channels), scene.vertices.dtype)
-    return _pixels(scene, plan, begin, key, depths, None, n=n, spp=spp, max_depth=depths.max_depth)
+    return _pixels(scene, plan, begin, key, depths, None, n=n, spp=spp, max_depth=depths.max_depth, boundary=boundary)
 
 
 __all__ = ["LANES", "PASS", "depths_of", "irradiance", "measure", "radiance", "view_of"]

@@ -2,74 +2,23 @@
 
 import base64
 import copy
-import io
 import json
-import struct
 
 import numpy as np
-import PIL.Image
 import pytest
+from gltf_files import DATA, INDICES, NORMALS, POSITIONS, added, document, glb, load, picture
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from jaxrt.files.gltf import load_gltf
-from jaxrt.parts import Conductor, Diffuse, Instance, Mesh, SceneError, TwoSided
+from jaxrt.parts import Diffuse, Instance, Mesh, Principled, SceneError
 
 QUICK = settings(max_examples=80, deadline=None)
-POSITIONS = np.array([[0, 0, 0], [2, 0, 0], [2, 1, 0], [0, 1, 0.5], [9, 9, 9]], np.float32)
-NORMALS = np.tile(np.array([0, 0, 1], np.float32), (5, 1))
-UVS = np.array([[0, 0], [65535, 0], [65535, 65535], [0, 65535], [0, 0]], np.uint16)  # normalised
-INDICES = np.array([0, 1, 2, 0, 2, 3], np.uint8)
-DATA = POSITIONS.tobytes() + NORMALS.tobytes() + UVS.tobytes() + INDICES.tobytes()
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     return tmp_path_factory.mktemp("gltf")
-
-
-def document(**more):
-    """One mesh of two triangles, in one node."""
-    views = [(0, 60), (60, 60), (120, 20), (140, 6)]
-    return {
-        "asset": {"version": "2.0"},
-        "scene": 0,
-        "scenes": [{"nodes": [0]}],
-        "nodes": [{"mesh": 0, "name": "quad"}],
-        "meshes": [
-            {
-                "name": "shape",
-                "primitives": [
-                    {"attributes": {"POSITION": 0, "NORMAL": 1, "TEXCOORD_0": 2}, "indices": 3, "material": 0}
-                ],
-            }
-        ],
-        "materials": [
-            {"name": "paint", "pbrMetallicRoughness": {"baseColorFactor": [0.1, 0.2, 0.3, 1], "metallicFactor": 0}}
-        ],
-        "accessors": [
-            {"bufferView": 0, "componentType": 5126, "count": 5, "type": "VEC3"},
-            {"bufferView": 1, "componentType": 5126, "count": 5, "type": "VEC3"},
-            {"bufferView": 2, "componentType": 5123, "count": 5, "type": "VEC2", "normalized": True},
-            {"bufferView": 3, "componentType": 5121, "count": 6, "type": "SCALAR"},
-        ],
-        "bufferViews": [{"buffer": 0, "byteOffset": a, "byteLength": n} for a, n in views],
-        "buffers": [{"byteLength": len(DATA)}],
-        **more,
-    }
-
-
-def glb(path, doc, data=DATA):
-    text = json.dumps(doc).encode()
-    text += b" " * (-len(text) % 4)
-    data += b"\0" * (-len(data) % 4)
-    chunks = struct.pack("<I4s", len(text), b"JSON") + text + struct.pack("<I4s", len(data), b"BIN\0") + data
-    path.write_bytes(b"glTF" + struct.pack("<II", 2, 12 + len(chunks)) + chunks)
-    return path
-
-
-def load(folder, **more):
-    return load_gltf(glb(folder / "a.glb", document(**more)))
 
 
 def test_a_mesh_and_its_material(tmp_path):
@@ -80,8 +29,8 @@ def test_a_mesh_and_its_material(tmp_path):
     np.testing.assert_array_equal(shape.normals, NORMALS[:4])
     np.testing.assert_array_equal(shape.uvs, [[0, 0], [1, 0], [1, 1], [0, 1]])
     assert shape.faces.tolist() == [[0, 1, 2], [0, 2, 3]]
-    assert isinstance(shape.bsdf, Diffuse)
-    np.testing.assert_array_equal(shape.bsdf.reflectance, [0.1, 0.2, 0.3])  # not rounded to 8 bits
+    assert isinstance(shape.bsdf, Principled)
+    np.testing.assert_array_equal(shape.bsdf.base_color, [0.1, 0.2, 0.3])  # not rounded to 8 bits
     assert (shape.emission, scene.sensors, scene.notes) == (None, [], [])
 
 
@@ -109,6 +58,67 @@ def test_interleaved_accessors(tmp_path):
     assert shape.uvs is None
 
 
+def test_sparse_accessors_and_quantised_positions(tmp_path):
+    """Rows replaced in data, in nothing at all, and in normalised 16-bit positions (KHR_mesh_quantization)."""
+    doc = document(extensionsRequired=["KHR_mesh_quantization"])
+    at, data = added(doc, DATA, np.array([1, 3], np.uint16), "SCALAR")
+    rows, data = added(doc, data, np.array([[5, 0, 0], [0, 7, 0]], np.float32), "VEC3")
+    views = [doc["accessors"][k]["bufferView"] for k in (at, rows)]
+    indices, values = {"bufferView": views[0], "componentType": 5123}, {"bufferView": views[1]}
+    doc["accessors"][0]["sparse"] = {"count": 2, "indices": indices, "values": values}
+    (shape,) = load_gltf(glb(tmp_path / "a.glb", doc, data)).shapes
+    np.testing.assert_array_equal(shape.vertices, [[0, 0, 0], [5, 0, 0], [2, 1, 0], [0, 7, 0]])
+    del doc["accessors"][0]["bufferView"]
+    (shape,) = load_gltf(glb(tmp_path / "a.glb", doc, data)).shapes
+    np.testing.assert_array_equal(shape.vertices, [[0, 0, 0], [5, 0, 0], [0, 0, 0], [0, 7, 0]])
+    indices["componentType"] = 5126
+    with pytest.raises(SceneError, match=r"accessors\[0\].sparse has no indices"):
+        load_gltf(glb(tmp_path / "a.glb", doc, data))
+    doc["accessors"][0] = {"componentType": 5126, "count": 3, "type": "VEC3", "sparse": {"count": 2, "values": values}}
+    doc["accessors"][0]["sparse"]["indices"] = indices | {"componentType": 5123}
+    with pytest.raises(SceneError, match="replaces row 3 of 3"):
+        load_gltf(glb(tmp_path / "a.glb", doc, data))
+    places = np.array([[32767, 0, 0, 0], [0, -32768, 16384, 0]] * 3, np.int16)[:5]
+    doc["accessors"][0], data = None, data
+    number, data = added(doc, data, places, "VEC4")
+    doc["accessors"][0] = doc["accessors"][number] | {"type": "VEC3", "normalized": True}
+    doc["bufferViews"][-1]["byteStride"] = 8
+    (shape,) = load_gltf(glb(tmp_path / "a.glb", doc, data)).shapes
+    np.testing.assert_allclose(shape.vertices[:2], [[1, 0, 0], [0, -1, 16384 / 32767]])
+    del doc["accessors"][0]["normalized"]
+    (shape,) = load_gltf(glb(tmp_path / "a.glb", doc, data)).shapes
+    np.testing.assert_array_equal(shape.vertices[:2], [[32767, 0, 0], [0, -32768, 16384]])
+
+
+def test_instances_of_a_node(tmp_path):
+    """EXT_mesh_gpu_instancing: each stands in the space of the node."""
+    doc = document(nodes=[{"mesh": 0, "translation": [0, 0, 5]}], extensionsRequired=["EXT_mesh_gpu_instancing"])
+    moves, data = added(doc, DATA, np.array([[1, 0, 0], [0, 2, 0]], np.float32), "VEC3")
+    turns, data = added(doc, data, np.array([[0, 0, 127, 127], [0, 0, 0, 127]], np.int8), "VEC4", normalized=True)
+    attributes = {"TRANSLATION": moves, "ROTATION": turns}
+    doc["nodes"][0]["extensions"] = {"EXT_mesh_gpu_instancing": {"attributes": attributes}}
+    turned, moved = load_gltf(glb(tmp_path / "a.glb", doc, data)).shapes
+    np.testing.assert_allclose(turned.to_world @ [1, 0, 0, 1], [1, 1, 5, 1], atol=1e-12)
+    np.testing.assert_allclose(moved.to_world @ [1, 0, 0, 1], [1, 2, 5, 1], atol=1e-12)
+    doc["accessors"][turns]["count"] = 1
+    with pytest.raises(SceneError, match="1 and 2 values of its instances"):
+        load_gltf(glb(tmp_path / "a.glb", doc, data))
+
+
+def test_compressed_data_without_a_fallback_is_refused(tmp_path):
+    doc = document()
+    doc["meshes"][0]["primitives"][0]["extensions"] = {"KHR_draco_mesh_compression": {"bufferView": 0}}
+    assert load_gltf(glb(tmp_path / "a.glb", doc)).shapes  # it has the data uncompressed as well
+    del doc["accessors"][0]["bufferView"]
+    with pytest.raises(SceneError, match=r"KHR_draco_mesh_compression.*export it without"):
+        load_gltf(glb(tmp_path / "a.glb", doc))
+    doc = document()
+    doc["buffers"] += [{"byteLength": 60, "extensions": {"EXT_meshopt_compression": {"fallback": True}}}]
+    doc["bufferViews"][0]["buffer"] = 1
+    with pytest.raises(SceneError, match=r"buffers\[1\] is compressed \(EXT_meshopt_compression"):
+        load_gltf(glb(tmp_path / "a.glb", doc))
+
+
 @pytest.mark.parametrize(
     ("mode", "faces"),
     [
@@ -133,6 +143,7 @@ def test_without_indices_and_without_material(tmp_path):
     assert shape.faces.tolist() == [[0, 1, 2]]
     assert isinstance(shape.bsdf, Diffuse)
     assert len(scene.notes) == 2
+    assert "lines, which have no surface; left out" in scene.notes[1]
 
 
 def test_hierarchy_and_instances(tmp_path):
@@ -178,27 +189,6 @@ def test_mirrored_nodes_keep_their_front(tmp_path):
     np.testing.assert_array_equal(mirrored.normals, NORMALS[:4])
 
 
-@pytest.mark.parametrize(("metallic", "rough", "alpha"), [(0.5, 0.5, 0.25), (1.0, 0.0, 0.0), (None, None, 1.0)])
-def test_metals(tmp_path, metallic, rough, alpha):
-    pbr = {"metallicFactor": metallic, "roughnessFactor": rough, "baseColorFactor": [1, 0.5, 0.25, 0.5]}
-    pbr = {k: v for k, v in pbr.items() if v is not None}
-    (shape,) = load(tmp_path, materials=[{"pbrMetallicRoughness": pbr, "doubleSided": True}]).shapes
-    assert isinstance(shape.bsdf, TwoSided)
-    metal = shape.bsdf.bsdf
-    assert isinstance(metal, Conductor)
-    np.testing.assert_array_equal(metal.alpha, [alpha, alpha])
-    np.testing.assert_array_equal(metal.specular_reflectance, [1, 0.5, 0.25])
-    assert (metal.eta, metal.k, metal.id) == (0, 1, "material_0")
-
-
-def test_emission(tmp_path):
-    lamp = {"name": "lamp", "emissiveFactor": [1, 0.5, 0], "pbrMetallicRoughness": {"metallicFactor": 0}}
-    lamp["extensions"] = {"KHR_materials_emissive_strength": {"emissiveStrength": 12.5}}
-    (shape,) = load(tmp_path, materials=[lamp], extensionsRequired=["KHR_materials_emissive_strength"]).shapes
-    np.testing.assert_array_equal(shape.emission, [12.5, 6.25, 0])
-    assert shape.emission_id == "lamp.emitter"
-
-
 def test_cameras(tmp_path):
     cameras = [
         {"type": "perspective", "perspective": {"yfov": 0.8, "aspectRatio": 1.5, "znear": 0.1}},
@@ -215,6 +205,7 @@ def test_cameras(tmp_path):
     assert eye.fov == pytest.approx(np.degrees(0.8))
     assert (eye.fov_axis, eye.film.width, eye.film.height, eye.id) == ("y", 768, 512, "eye")
     assert eye.near == pytest.approx(0.2)
+    assert eye.far > 1e9  # without zfar
     # ours looks along its +z with +x to the left; theirs along −z with +x to the right
     np.testing.assert_allclose(eye.to_world, [[-1, 0, 0, 2], [0, 1, 0, 4], [0, 0, -1, 6], [0, 0, 0, 1]], atol=1e-15)
     assert ortho.kind == "orthographic"
@@ -222,48 +213,6 @@ def test_cameras(tmp_path):
     np.testing.assert_allclose(ortho.to_world @ [0, 0, 1, 0], [-1, 0, 0, 0], atol=1e-15)
     np.testing.assert_allclose(np.linalg.norm(ortho.to_world[:3, :3], axis=0), [8, 8, 1])
     assert ortho.far == 100
-
-
-def picture(values, mode):
-    """A picture as the data of a URI."""
-    file = io.BytesIO()
-    PIL.Image.fromarray(np.asarray(values, np.uint8), mode).save(file, "PNG")
-    return "data:image/png;base64," + base64.b64encode(file.getvalue()).decode()
-
-
-def test_textures(tmp_path):
-    """Base colour and its alpha, emission and normals, as the sampler and a transform lay them; by their mean without
-    coordinates."""
-    red = [[[255, 0, 0, 255], [128, 128, 128, 10]]]
-    doc = document(
-        images=[{"uri": picture(red, "RGBA")}, {"uri": picture([[[0, 255, 0]], [[255, 255, 255]]], "RGB")}],
-        samplers=[{"wrapS": 33071, "magFilter": 9728}],
-        textures=[{"source": 0, "sampler": 0}, {"source": 1}],
-    )
-    paint = doc["materials"][0]
-    paint["pbrMetallicRoughness"] |= {"baseColorTexture": {"index": 0}, "baseColorFactor": [0.5, 1, 1, 1]}
-    moved = {"offset": [0.1, 0.2], "scale": [2, 3], "rotation": np.pi / 2}
-    paint |= {
-        "alphaMode": "MASK", "emissiveTexture": {"index": 1, "extensions": {"KHR_texture_transform": moved}},
-        "emissiveFactor": [1, 2, 3], "normalTexture": {"index": 1},
-    }  # fmt: skip
-    (shape,) = load_gltf(glb(tmp_path / "a.glb", doc)).shapes
-    mask, turned, colour = shape.bsdf, shape.bsdf.bsdf, shape.bsdf.bsdf.bsdf.reflectance
-    assert (colour.filter, colour.wrap) == ("nearest", "clamp")
-    grey = ((128 / 255 + 0.055) / 1.055) ** 2.4
-    np.testing.assert_allclose(colour.data, [[[0.5, 0, 0], [0.5 * grey, grey, grey]]], rtol=1e-5)
-    np.testing.assert_array_equal(mask.opacity.data[..., 0], [[1, 0]])
-    np.testing.assert_allclose(turned.normalmap.data[0, 0] * 2 - 1, np.array([-1, 1, -1]) / np.sqrt(3), atol=1e-6)
-    assert not turned.shadowed
-    np.testing.assert_allclose(shape.emission.data, [[[0, 2, 0]], [[1, 2, 3]]], atol=1e-6)
-    assert (shape.emission.filter, shape.emission.wrap) == ("bilinear", "repeat")
-    np.testing.assert_allclose(shape.emission.to_uv @ [1, 0, 1], [0.1, 0.2 - 2], atol=1e-12)
-    del doc["meshes"][0]["primitives"][0]["attributes"]["TEXCOORD_0"]
-    scene = load_gltf(glb(tmp_path / "b.glb", doc))
-    mean = [0.25 + 0.25 * grey, grey / 2, grey / 2]
-    np.testing.assert_allclose(scene.shapes[0].bsdf.reflectance, mean, rtol=1e-5)
-    np.testing.assert_allclose(scene.shapes[0].emission, [0.5, 2, 1.5], rtol=1e-5)
-    assert "normalTexture" in scene.notes[0]
 
 
 def test_lights(tmp_path):
@@ -289,11 +238,44 @@ def test_lights(tmp_path):
             load(tmp_path, nodes=nodes, extensions={"KHR_lights_punctual": {"lights": lights}})
 
 
+def test_measured_lights(tmp_path):
+    """EXT_lights_ies: vertical angle 0 is −z of the node, horizontal angle 0 is +x and 90 is +y."""
+    numbers = "1 -1 1 3 2 1 2 0 0 0 1 1 0  0 90 180  0 90  7 8 1 7 9 1"
+    (tmp_path / "a lamp.ies").write_text(f"IESNA:LM-63-2002\nTILT=NONE\n{numbers}")
+    data = base64.b64encode((tmp_path / "a lamp.ies").read_bytes()).decode()
+    lights = [{"uri": "a%20lamp.ies"}, {"uri": f"data:application/x-ies-lm-63;base64,{data}"}, {"bufferView": 4}]
+    turn = [0, np.sin(np.pi / 4), 0, np.cos(np.pi / 4)]  # −z becomes −x, and +x −z
+    more = [{"multiplier": 2, "color": [1, 0.5, 3]}, {}, {}]
+    nodes = [{"mesh": 0, "children": [1, 2, 3]}]
+    nodes += [
+        {"translation": [1, 2, 3], "rotation": turn, "extensions": {"EXT_lights_ies": {"light": k, **more[k]}}}
+        for k in range(3)
+    ]
+    views = [*document()["bufferViews"], {"buffer": 1, "byteOffset": 0, "byteLength": len(base64.b64decode(data))}]
+    buffers = [*document()["buffers"], {"uri": f"data:,{data}", "byteLength": len(base64.b64decode(data))}]
+    extras = {"bufferViews": views, "buffers": buffers, "extensionsRequired": ["EXT_lights_ies"]}
+    profiles = lambda lights: {"extensions": {"EXT_lights_ies": {"lights": lights}}}
+    lamps = load(tmp_path, nodes=nodes, **extras, **profiles(lights)).lamps
+    for lamp, scale in zip(lamps, [[2, 1, 2], [1, 1, 1], [1, 1, 1]], strict=True):
+        np.testing.assert_allclose(lamp.intensity.data[:, :, None] / scale, np.array([[7, 8, 1], [7, 9, 1]])[..., None, None] * [1, 1, 1])  # fmt: skip
+        place = np.array([[0, 0, -1, 1], [1, 0, 0, 2], [0, -1, 0, 3]])  # +x, +y, +z of the lamp's own space
+        np.testing.assert_allclose(
+            lamp.to_world[:3] - [[0, 0, -1, 1], [1, 0, 0, 2], [0, -1, 0, 3]], 0 * place, atol=1e-12
+        )
+    for wrong, says in (
+        ({"uri": "b.ies"}, "no such file"),
+        ({}, "light 2 has no data"),
+        ({"bufferView": 9}, "no bufferViews"),
+    ):
+        with pytest.raises(SceneError, match=says):
+            load(tmp_path, nodes=nodes, **extras, **profiles([*lights[:2], wrong]))
+
+
 def test_what_is_left_out_is_named(tmp_path):
     doc = document(
         textures=[{"source": 0}],
         images=[{"uri": "wood.png"}],
-        extensionsUsed=["KHR_lights_punctual", "KHR_materials_clearcoat"],
+        extensionsUsed=["KHR_lights_punctual", "KHR_materials_sheen", "KHR_materials_sheen"],
         extensionsRequired=["KHR_lights_punctual"],
         extensions={"KHR_lights_punctual": {"lights": [{"type": "directional"}]}},
         nodes=[
@@ -303,6 +285,7 @@ def test_what_is_left_out_is_named(tmp_path):
         ],
         animations=[{}],
         skins=[{}],
+        scenes=[{"nodes": [0], "name": "first"}, {}],
     )
     doc["materials"][0] |= {"alphaMode": "BLEND", "normalTexture": {"index": 0}, "occlusionTexture": {"index": 7}}
     doc["meshes"][0]["primitives"][0]["targets"] = [{}]
@@ -310,8 +293,8 @@ def test_what_is_left_out_is_named(tmp_path):
     assert len(scene.shapes) == 1
     notes = "\n".join(scene.notes)
     for words in (
-        "normalTexture 'wood.png'", "occlusionTexture without a name",
-        "KHR_materials_clearcoat", "gone", "animations", "skins", "morph targets",
+        "normalTexture 'wood.png'", "occlusionTexture", "of 2 scenes, 'first' is taken",
+        "extensions are not used: KHR_materials_sheen", "gone", "animations", "skins", "morph targets",
     ):  # fmt: skip
         assert words in notes
     assert all(note.startswith(str(tmp_path)) and "\n" not in note for note in scene.notes)
@@ -331,7 +314,9 @@ def change(doc, path, value):
     ("path", "value", "says"),
     [
         (["asset"], {"version": "1.0"}, "glTF 2"),
-        (["extensionsRequired"], ["KHR_draco_mesh_compression"], "requires KHR_draco_mesh_compression"),
+        (["extensionsRequired"], ["KHR_draco_mesh_compression"], "requires KHR_draco_mesh_compression.* compression"),
+        (["extensionsRequired"], ["EXT_meshopt_compression"], "requires EXT_meshopt_compression.* compression"),
+        (["extensionsRequired"], ["KHR_unknown"], "requires KHR_unknown.* export it without"),
         (["scenes"], [{"nodes": [7]}], r"nodes\[7\]"),
         (["scene"], 3, r"scenes\[3\]"),
         (["nodes"], [{"children": [0], "mesh": 0}], "contains itself"),
@@ -346,7 +331,7 @@ def change(doc, path, value):
         (["meshes", 0, "primitives", 0, "material"], 5, r"materials\[5\]"),
         (["meshes", 0, "primitives", 0, "attributes", "POSITION"], 3, r"accessors\[3\]"),
         (["meshes", 0, "primitives", 0, "attributes", "NORMAL"], 9, r"accessors\[9\]"),
-        (["materials", 0, "pbrMetallicRoughness", "baseColorFactor"], [2, 0, 0, 1], "paint.reflectance"),
+        (["materials", 0, "pbrMetallicRoughness", "baseColorFactor"], [2, 0, 0, 1], "paint.base_color"),
         (["materials", 0, "pbrMetallicRoughness"], [], "pbrMetallicRoughness"),
         (["materials", 0, "emissiveFactor"], [-1, 0, 0], "paint"),
         (["accessors", 0, "count"], 6, r"accessors\[0\] lies outside"),
@@ -430,12 +415,29 @@ def leaves(value, path=()):
 
 FULL = document(
     cameras=[{"type": "perspective", "perspective": {"yfov": 0.8, "aspectRatio": 1.5, "znear": 0.1, "zfar": 9}}],
-    nodes=[{"mesh": 0, "camera": 0, "scale": [-1, 1, 1], "rotation": [0, 0, 0, 1], "extensions": {}, "children": []}],
+    nodes=[{"mesh": 0, "camera": 0, "scale": [-1, 1, 1], "rotation": [0, 0, 0, 1], "children": []}],
     extensionsUsed=[],
-    textures=[{"source": 0}],
-    images=[{"uri": "a.png"}],
+    samplers=[{"wrapS": 33071, "wrapT": 33071, "magFilter": 9728}],
+    textures=[{"source": 0, "sampler": 0, "extensions": {"EXT_texture_webp": {"source": 0}}}],
+    images=[{"uri": picture([[[0, 255, 0, 9]], [[255, 255, 255, 99]]], "RGBA")}],
 )
-FULL["materials"][0] |= {"normalTexture": {"index": 0}, "emissiveFactor": [1, 1, 1], "alphaMode": "BLEND"}
+TEXTURE = {"index": 0, "texCoord": 0}
+FULL["nodes"][0]["extensions"] = {"EXT_mesh_gpu_instancing": {"attributes": {"TRANSLATION": 0}}}
+FULL["materials"][0] |= {"normalTexture": TEXTURE, "emissiveFactor": [1, 1, 1], "alphaMode": "BLEND"}
+FULL["materials"][0]["pbrMetallicRoughness"] |= {"baseColorTexture": TEXTURE, "metallicRoughnessTexture": TEXTURE}
+FULL["materials"][0]["extensions"] = {
+    "KHR_materials_transmission": {"transmissionFactor": 0.5, "transmissionTexture": TEXTURE},
+    "KHR_materials_volume": {"thicknessFactor": 1, "attenuationDistance": 1, "attenuationColor": [1, 0, 1]},
+    "KHR_materials_clearcoat": {"clearcoatFactor": 0.5, "clearcoatRoughnessTexture": TEXTURE},
+    "KHR_materials_specular": {"specularTexture": TEXTURE, "specularColorFactor": [1, 1, 1]},
+    "KHR_materials_ior": {"ior": 1.4},
+}
+FULL["meshes"][0]["primitives"][0]["attributes"]["COLOR_0"] = 0
+FULL["accessors"][0]["sparse"] = {
+    "count": 1,
+    "indices": {"bufferView": 3, "componentType": 5121},
+    "values": {"bufferView": 0, "byteOffset": 0},
+}
 JSON = st.recursive(
     st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=5),
     lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(max_size=5), inner, max_size=3),

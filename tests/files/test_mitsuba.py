@@ -134,6 +134,18 @@ def test_shared_emitter_has_one_name(load):
     assert a.emission is b.emission and a.emission.tolist() == [1, 2, 3]
 
 
+def test_emitters_that_only_light_tracing_sees_are_dark_and_said(load):
+    lamp = '<emitter type="directionalarea" id="beam"><float name="radiance" value="9"/></emitter>'
+    made = load(
+        lamp
+        + '<shape type="sphere"><ref id="beam"/></shape><shape type="cube"><ref id="beam"/><bsdf type="diffuse"/></shape>'
+    )
+    assert [s.emission for s in made.shapes] == [None, None]
+    assert [float(np.mean(s.bsdf.reflectance)) for s in made.shapes] == [0.0, 0.5]
+    assert len(made.notes) == 1
+    assert "is seen by light tracing alone" in made.notes[0]
+
+
 def test_missing_reference_names_the_closest(refused):
     message = refused('<bsdf type="diffuse" id="white"/><shape type="sphere"><ref id="whit"/></shape>')
     assert message == "scene.xml:2: <ref>: no element has id 'whit'; did you mean white?"
@@ -147,7 +159,7 @@ def test_missing_reference_names_the_closest(refused):
         ('<bsdf type="diffuse" id="a"/><alias id="a" as="a"/>', "already used"),
         (
             '<shape type="sphere"><ref id="a"/></shape><bsdf type="twosided" id="a"><ref id="a"/></bsdf>',
-            "inside another",
+            "stands in itself, by a reference",
         ),
     ],
 )
@@ -323,7 +335,28 @@ def test_bytes_that_are_no_text(tmp_path):
         ('<shape type="instance"/>', "refers to no shapegroup"),
         ('<shape type="heightfield"/>', "is not supported; use rectangle"),
         ('<shape type="instance"><shape type="sphere"/></shape>', "refers to no shapegroup"),
-        ('<shape type="shapegroup"><shape type="sphere" id="s"/></shape>', "s: cannot be in a group"),
+        ('<shape type="sdfgrid"/>', "is not supported; extract its surface as a mesh (marching cubes)"),
+        ('<shape type="bsplinecurve"/>', "is not supported; make a mesh of the curves"),
+        ('<shape type="linearcurve"/>', "is not supported; make a mesh of the curves"),
+        ('<shape type="ellipsoids"/>', "is not supported; make a mesh of each ellipsoid"),
+        ('<shape type="serialized"/>', "no such file"),
+        ('<shape type="merge"/>', "has no shapes; add a <shape>"),
+        ('<shape type="merge"><bsdf type="diffuse"/></shape>', '<bsdf type="diffuse">: is not supported in <shape'),
+        (
+            '<shape type="shapegroup" id="g"><shape type="sphere" id="s"/></shape><shape type="instance"><ref id="g"/>'
+            '<transform name="to_world"><scale x="2"/></transform></shape>',
+            '<shape type="instance">: s.to_world: scales unevenly',
+        ),
+        ('<shape type="merge" id="m"><ref id="m"/></shape>', "stands in itself, by a reference; break the cycle"),
+        (
+            '<bsdf type="mask" id="a"><ref id="b"/></bsdf><bsdf type="mask" id="b"><ref id="a"/></bsdf>',
+            "stands in itself, by a reference; break the cycle",
+        ),
+        (
+            "".join(f'<bsdf type="mask" id="{k}"><ref id="{k + 1}"/></bsdf>' for k in range(99))
+            + '<bsdf type="null" id="99"/>',
+            "is nested deeper than 64 elements, references followed",
+        ),
         ('<shape type="shapegroup"/>', "has no shapes"),
         (
             '<shape type="shapegroup" id="g"><shape type="shapegroup"><shape type="cube"/></shape></shape>',
@@ -339,7 +372,22 @@ def test_bytes_that_are_no_text(tmp_path):
             "moves with its shape",
         ),
         ('<emitter type="sunsky"/>', '<emitter type="sunsky">: is not supported'),
-        ('<emitter type="sunsky"/>', "is not supported"),
+        ('<emitter type="timed_sunsky"/>', "bake_sky.py makes an envmap of it"),
+        ('<emitter type="sun"/>', "is not supported; use point"),
+        (
+            '<shape type="sphere"><emitter type="directionalarea"><transform name="to_world"/></emitter></shape>',
+            "moves with its shape",
+        ),
+        (
+            '<integrator type="path"><boolean name="hide_emitters" value="true"/></integrator>'
+            '<shape type="sphere"><emitter type="directionalarea"/></shape>',
+            "is hidden by hide_emitters",
+        ),
+        (
+            '<integrator type="moment"><integrator type="ptracer"/></integrator>'
+            '<shape type="sphere"><emitter type="directionalarea"/></shape>',
+            "is seen by the light tracing of ptracer",
+        ),
         ('<emitter type="constant"/><emitter type="constant"/>', "second environment"),
         ('<integrator type="depth"/>', "give --aov depth"),
         ('<integrator type="path"/><integrator type="path"/>', "second integrator"),
@@ -1270,6 +1318,24 @@ def test_instances_share_a_group(load):
     np.testing.assert_allclose(far.to_world[:3, 3], [3, 0, 0])
     with pytest.raises(SceneError, match="has no shapes"):
         load(GROUP)  # a group alone is not in the scene
+
+
+def test_merged_shapes_stand_where_the_merge_does(load):
+    made = load(
+        '<shape type="disk"/><shape type="merge"><shape type="cube" id="box"/><shape type="merge"><shape type="sphere"/>'
+        '</shape></shape><shape type="disk"/>'
+    ).shapes
+    assert [s.id for s in made] == ["shape_0", "box", "shape_2", "shape_3"]
+    assert [type(s) for s in made] == [parts.Disk, parts.Cube, parts.Sphere, parts.Disk]
+
+
+def test_textures_in_a_checkerboard(load):
+    inner = '<texture type="checkerboard" name="color1" id="inner"><rgb name="color0" value=".1,.2,.3"/></texture>'
+    made = material(
+        load, f'<bsdf type="diffuse"><texture type="checkerboard" name="reflectance">{inner}</texture></bsdf>'
+    )
+    assert isinstance(made.reflectance.color1, parts.Checkerboard) and made.reflectance.color0 == 0.4
+    np.testing.assert_allclose(made.reflectance.color1.color0, [0.1, 0.2, 0.3])
 
 
 GROUP = '<shape type="shapegroup"><shape type="cube"/></shape>'

@@ -1,0 +1,193 @@
+"""The boundary term of the film: edges of M as a camera sees them, directly or in flat mirrors.
+
+dI_p = ∫ h_p(q) (L₋ − L₊) (q̇·N̂) |dq/dt| dt along the images q(t) of edges; see `visibility`. One sequence of samples for
+the whole picture; each adds to the pixels whose filters reach it.
+"""
+
+from __future__ import annotations
+
+import functools
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.lax import stop_gradient as sg
+
+from ..sampling.sobol import Stream, combine
+from ..sensor import camera, film
+from ..solver import path
+from ..surface import surface_point
+from ..vector import Spectrum, Vec3, where
+from ..world import World
+from . import edges as edge
+from .edges import Edges
+from .visibility import Mirror, choose, follow, owned, zero_valued
+
+ASIDE = 0.01
+"""How far beside an edge to look, in pixels."""
+
+LANES = 4096
+
+
+class OnFilm(eqx.Module):
+    """Edges on the picture, as the middle of the lens sees them: lengths inside it (pixels), and their sums; `inside`:
+    the range of that, as shares of the image of the part before the near plane; `cut`: that part, as a range of t;
+    `z`: how far in front of the camera its ends are (m)."""
+
+    long: Any
+    sums: Any
+    inside: Any
+    cut: Any
+    z: Any
+
+    @classmethod
+    def of(cls, view: Any, edges: Edges) -> OnFilm:
+        to_local, margin = jnp.linalg.inv(view.to_world), view.sensor.film[3]
+        at = lambda p: camera.position(view.sensor, to_local, view.lens, view.window, p, None)
+        near, eye = jnp.maximum(view.lens[1], 1e-6), Vec3(*(view.to_world[k, 3] for k in range(3)))
+
+        def one(j: Any) -> Any:
+            p, q = edge.two_points(edges.ends[j])
+            (_, z0), (_, z1) = at(p), at(q)
+            span = jnp.where(z0 == z1, 1.0, z0 - z1)
+            gone = (z0 < near) & (z1 < near)
+            start = jnp.where((z0 < near) & ~gone, (z0 - near) / span, 0.0)
+            stop = jnp.where(gone, 0.0, jnp.where(z1 < near, (z0 - near) / span, 1.0))
+            (a, z0), (b, z1) = at(p + (q - p) * start), at(p + (q - p) * stop)
+            low, high = 0.0 * z0, 0.0 * z0 + 1.0
+            for k, size in enumerate((view.width, view.height)):
+                step = b[k] - a[k]
+                over = jnp.where(step == 0, 1.0, step)
+                s, t = (-margin - a[k]) / over, (size + margin - a[k]) / over
+                out = (step == 0) & ((a[k] < -margin) | (a[k] > size + margin))
+                low = jnp.maximum(low, jnp.where(step == 0, jnp.where(out, 1.0, 0.0), jnp.minimum(s, t)))
+                high = jnp.minimum(high, jnp.where(step == 0, 1.0, jnp.maximum(s, t)))
+            long = jnp.sqrt((b[0] - a[0]) ** 2 + (b[1] - a[1]) ** 2) * jnp.maximum(high - low, 0.0)
+            seen = ~gone & (j < edges.count) & jnp.isfinite(long)
+            if view.sensor.kind == "perspective":  # else an edge is seen from several sides
+                seen &= edges.crease[j] | edge.hides(edges, j, eye, edge.arc_of((p, q), eye, None).pole)
+            else:
+                z0, z1 = (z0, z1) if view.sensor.kind == "thinlens" else (jnp.ones_like(z0), jnp.ones_like(z1))
+            z = jnp.stack([z0, z1])
+            return jnp.where(seen, long, 0.0), jnp.stack([low, high]), jnp.stack([start, stop]), z
+
+        long, inside, cut, z = jax.vmap(one)(jnp.arange(len(edges.ends)))
+        return cls(long, jnp.cumsum(long), inside, cut, z)
+
+    def choose(self, u: Any) -> tuple[Any, Any, Any]:
+        """An edge by its length in the picture, a place t on it, and the inverse of the density of both."""
+        u = u * self.sums[-1]
+        j = jnp.minimum(jnp.searchsorted(self.sums, u, side="right"), len(self.sums) - 1)
+        ok = self.long[j] > 0
+        chance = jnp.where(ok, self.long[j], 1.0)
+        (low, high), (start, stop), (z0, z1) = self.inside[j], self.cut[j], self.z[j]
+        along = low + (high - low) * jnp.clip((u - (self.sums[j] - self.long[j])) / chance, 0.0, 1.0)
+        over = z1 + (z0 - z1) * along
+        t, slope = along * z0 / over, z0 * z1 / (over * over) * (high - low)
+        weight = jnp.where(ok, slope * (stop - start) * self.sums[-1] / chance, 0.0)
+        return j, start + (stop - start) * t, weight
+
+
+def _beside(
+    world: World,
+    edges: Edges,
+    view: Any,
+    depths: path.Depths,
+    j: Any,
+    q: Any,
+    n: Any,
+    lens: Any,
+    s: Stream,
+    mirror: Any,
+) -> Any:
+    """L₋ − L₊ beside the place q of an edge on the film, where that edge (or its image in a mirror) is what parts them.
+
+    `mirror`: nothing, or a mirror and whether it is meant.
+    """
+
+    def one(side: Any) -> Any:
+        at = q[0] + ASIDE * side * n[0], q[1] + ASIDE * side * n[1]
+        o, d = camera.ray(view.sensor, view.to_world, view.lens, view.window, at, lens)
+        y = surface_point(world, world.settle(world.search.closest(o, d)), o, d)
+        light = follow(world, depths, o, d, s, jnp.int32(0), Spectrum.full(world.plan.channels, 0.0 * o.x))
+        return y if mirror is None else where(mirror[1], mirror[0].behind(world, o, d, y), y), light
+
+    y, light = jax.vmap(one)(jnp.array([-1.0, 1.0], world.faces.dtype))
+    minus, plus = (jax.tree.map(lambda a, k=k: a[k], y) for k in (0, 1))
+    own = (minus.face == edges.faces_at(j)[0]) | (minus.face == edges.faces_at(j)[1])
+    r = jnp.where(own, minus.distance, plus.distance)
+    share = owned(world, edges, j, r, 1e-3 * r, minus, plus)
+    return light.map(lambda c: (c[0] - c[1]) * share)
+
+
+def picture(world: World, edges: Edges, view: Any, depths: path.Depths, seed: Any, n: int, samples: int) -> Any:
+    """The term for all pixels, (n, C): 0, with derivatives. `samples`: points on edges, shared among straight ones,
+    outlines of curved faces, and both in mirrors, as far as there are such."""
+    fixed, plan, still = sg(world), world.plan, sg(view)
+    filter_, central = still.sensor.film, still.sensor.kind != "orthographic"
+    straight, curved = len(edges.ends) > 0, central and sum(edges.blocks[2:]) > 0
+    mirrors = central and edges.mirrors is not None
+    n_ways = straight + curved + mirrors
+    on_film, still_eye = OnFilm.of(still, edges), Vec3(*(still.to_world[k, 3] for k in range(3)))
+    to_local, middle = jnp.linalg.inv(view.to_world), still.lens * jnp.array([1.0, 0.0, 1.0, 1.0, 1.0])
+    seed, reach = combine(seed, 0xED6E), int(np.ceil(filter_[3] + 0.5))
+
+    def one(i: Any) -> tuple[Any, Any]:
+        s = Stream(i.astype(jnp.uint32), seed)
+        lens = s.pair_at(1) if camera.uses_lens(still.sensor) else None
+        ways = s.child(2).pair_at(0)[0] * n_ways
+        parts: list[tuple[Any, Any, Any, Any]] = []
+        if straight:
+            parts.append((*on_film.choose(s.child(1).pair_at(0)[0]), still_eye))
+        eye = camera.ray(still.sensor, still.to_world, middle, still.window, (0.0, 0.0), lens)[0]
+        if curved:
+            seen = choose(fixed, edges, eye, None, s.child(1), straight=False)
+            parts.append((seen.edge, seen.t, seen.weight * seen.slope, seen.x))
+        image, mirror = lambda world, p: p, None
+        if mirrors:
+            mirror = Mirror.choose(fixed, edges, eye, s.child(1).pair_at(2)[0])
+            seen = choose(fixed, edges, eye, None, s.child(1), mirror.cone, mirror.plane)
+            parts.append((seen.edge, seen.t, seen.weight * seen.slope * mirror.weight, seen.x))
+            meant, face = ways >= n_ways - 1, mirror.face
+            image = lambda world, p: where(meant, edge.Plane.of(world, face).image(p), p)
+            mirror = mirror, meant
+        j, t, weight, x = parts[0]
+        for k, part in enumerate(parts[1:], 1):
+            j, t, weight, x = where(ways >= k, part, (j, t, weight, x))
+        weight = weight * n_ways
+
+        def at(view: Any, world: World, to_local: Any, t: Any) -> Any:
+            p = image(world, edges.point(world, j, t, x))
+            return camera.position(view.sensor, to_local, view.lens, view.window, p, lens)
+
+        ((q, z), (dq, _)) = jax.jvp(lambda t: at(still, fixed, sg(to_local), t), (t,), (jnp.ones_like(t),))
+        speed = jnp.sqrt(dq[0] * dq[0] + dq[1] * dq[1])
+        normal = -dq[1] / jnp.maximum(speed, 1e-30), dq[0] / jnp.maximum(speed, 1e-30)
+        jump = _beside(fixed, edges, still, depths, j, q, normal, lens, s, mirror)
+        scale = jnp.where((weight > 0) & (z > 0), weight * speed, 0.0)
+        moved, _ = at(view, world, to_local, sg(t))
+        value = zero_valued(jump * scale, normal[0] * moved[0] + normal[1] * moved[1]).array()
+        places, parts = [], []
+        for a in range(1 - reach, reach):
+            for b in range(1 - reach, reach):
+                x, y = jnp.floor(q[0]) + a, jnp.floor(q[1]) + b
+                pixel = film.pixel(filter_, x, y, still.width, still.height)
+                within = (x >= 0) & (x < still.width) & (y >= 0) & (y < still.height)
+                h = jnp.where(within, film.density(filter_, pixel, q), 0.0)
+                places.append(jnp.where(within, y * still.width + x, n).astype(jnp.int32))
+                parts.append(value * sg(h))
+        return jnp.stack(places), jnp.stack(parts)
+
+    lanes = min(samples, LANES)
+    batches = max(1, round(samples / lanes))
+    zero = jnp.zeros((n, plan.channels), fixed.faces.dtype)
+
+    @functools.partial(jax.checkpoint, prevent_cse=False)
+    def batch(first: Any) -> Any:
+        places, parts = jax.vmap(one)(first + jnp.arange(lanes, dtype=jnp.int32))
+        return zero.at[places].add(parts, mode="drop")
+
+    add = lambda total, k: (total + batch(k * lanes), None)
+    return jax.lax.scan(add, zero, jnp.arange(batches, dtype=jnp.int32))[0] / (batches * lanes)

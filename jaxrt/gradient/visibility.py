@@ -1,0 +1,399 @@
+"""Boundary terms: how a picture changes because what is seen changes, where samples held fixed know nothing of it.
+
+∫ f over directions of which some see past an edge and some do not has a derivative beside that of f: the edge sweeps
+over directions, and on its way replaces what lies on one side of it by what lies on the other. At a point x, with the
+edge's point y = x + r ω, N̂ the normal of the plane of x and the edge, φ the angle along it:
+
+    dL_o(x) = ∫ f_r cosθ (L₋ − L₊) (N̂·w)/r dφ,     w = ẏ − ẋ for directions fixed in space (reflected light R)
+
+and for direct light, whose samples z stay on the emitter, w = (ẏ − ẋ) − (r/|z−x|)(ż − ẋ), with −L⁰(z) behind the
+edge in place of the difference (see `material`). On the film: dI = ∫ h(q) (L₋ − L₊) (q̇·N̂) dl, q the edge's image.
+
+Each is written as Σ coefficient · position minus its own value: zero, with the right first derivative. Coefficients are
+held fixed, so that only positions of edges, of x and of z are differentiated.
+"""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import replace
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax.lax import stop_gradient as sg
+
+from .. import brdf
+from ..rules import reflected, reflection_node
+from ..sampling.sobol import Stream, combine
+from ..solver import path
+from ..surface import SurfacePoint, choice, leave, radiance_of, shading_at, surface_point
+from ..vector import Spectrum, Vec3, cross, dot, length, normalise, where
+from ..world import World
+from . import curves, material
+from . import edges as edge
+from .edges import Edges
+
+CANDIDATES = 128
+"""Edges that one point chooses from; of more, this many drawn by length."""
+
+
+def aside(world: World, r: Any) -> Any:
+    """How far beside an edge at distance r to look, in radians: more than rounding moves points, and hardly more."""
+    fine = 3e-4 if world.faces.dtype == jnp.float32 else 1e-5
+    return jnp.minimum(jnp.maximum(fine, 4.0 * world.epsilon / jnp.maximum(r, 1e-30)), 0.05)
+
+
+class Chosen(eqx.Module):
+    """A direction to a point of an edge, or of its image in a mirror; `t` along the edge, and dt/dφ; the inverse of its
+    density over φ (radians), 0 if there is none; a point of M beside the edge. `x`: from where it is seen, or that
+    point's image. Edges are numbered before outlines of curved faces."""
+
+    edge: Any
+    x: Vec3
+    beside: Vec3
+    w: Vec3
+    pole: Vec3
+    r: Any
+    t: Any
+    slope: Any
+    weight: Any
+
+    def attached(self, world: World, edges: Edges, mirror: Any = None) -> Vec3:
+        """The edge's point, or its image, that moves with M."""
+        y = edges.point(world, self.edge, self.t, self.x)
+        return y if mirror is None else edge.Plane.of(world, mirror).image(y)
+
+
+def choose(
+    world: World,
+    edges: Edges,
+    x: Vec3,
+    n: Vec3 | None,
+    s: Stream,
+    cone: tuple[Vec3, Any] | None = None,
+    plane: edge.Plane | None = None,
+    creases: bool = True,
+    straight: bool = True,
+) -> Chosen:
+    """An edge as seen from x (above the horizon of n), by the angle it takes over its distance, and an even angle
+    along it; or an outline of a curved face, and an even place on it.
+
+    `cone`: the parts of edges inside a cone of directions, (axis, sine of the half angle). `plane`: a mirror, in which
+    they are seen. Without `creases`: outlines alone; without `straight`, those of curved faces.
+    """
+    u, v = s.pair_at(0)
+    total = edges.ends.shape[0] if straight else 0
+    if total <= CANDIDATES:
+        numbers, scale = jnp.arange(total), jnp.ones(total, world.faces.dtype)
+    else:
+        chance = edges.chance
+        at = (jnp.arange(CANDIDATES) + s.pair_at(1)[0]) / CANDIDATES
+        numbers = jnp.clip(jnp.searchsorted(jnp.cumsum(chance), at, side="right"), 0, total - 1)
+        scale = 1.0 / (jnp.maximum(chance[numbers], 1e-30) * CANDIDATES)
+
+    def weigh(j: Any, scale: Any) -> Any:
+        arc = edge.arc_of(edge.two_points(edges.ends[j], plane), x, n)
+        seen = edge.hides(edges, j, x, arc.pole, plane)
+        seen = seen | edges.crease[j] if creases else seen
+        low, high = (-arc.half, arc.half) if cone is None else arc.towards(*cone)
+        there = seen & (j < edges.count) & (high > low)
+        return jnp.where(there, scale * (high - low) / jnp.maximum(arc.distance, world.epsilon), 0.0)
+
+    seen_from = x if plane is None else plane.image(x)
+    weights = jax.vmap(weigh)(numbers, scale) if total else jnp.zeros(0, world.faces.dtype)
+    kinds, faces, names = curves.listed(world.blocks)
+    for k, name in enumerate(names):
+        long, far = jax.vmap(lambda f, name=name: curves.size(world, f, name, seen_from))(
+            jnp.asarray(faces[kinds == k])
+        )
+        weights = jnp.concatenate([weights, long / jnp.maximum(far, world.epsilon) ** 2])
+    sums = jnp.cumsum(weights)
+    k = jnp.minimum(jnp.sum(sums <= u * sums[-1]), len(weights) - 1)
+    chance = weights[k] / jnp.where(sums[-1] > 0, sums[-1], 1.0)
+    ok = chance > 0
+    inverse = jnp.where(ok, 1.0 / jnp.where(ok, chance, 1.0), 0.0)
+    found: Chosen | None = None
+    if total:
+        k_straight = jnp.minimum(k, total - 1)
+        found = _on_edge(world, edges, numbers[k_straight], x, n, v, cone, plane, inverse * scale[k_straight])
+    if names:
+        c = jnp.maximum(k - total, 0)
+        curved = _on_curve(world, edges, c, x, seen_from, v, plane, inverse)
+        found = curved if found is None else where(k >= total, curved, found)
+    assert found is not None
+    return found
+
+
+def _on_edge(
+    world: World, edges: Edges, j: Any, x: Vec3, n: Any, v: Any, cone: Any, plane: Any, inverse: Any
+) -> Chosen:
+    p, q = edge.two_points(edges.ends[j], plane)
+    arc = edge.arc_of((p, q), x, n)
+    low, high = (-arc.half, arc.half) if cone is None else arc.towards(*cone)
+    w = arc.direction(low + (high - low) * v)
+    along = q - p
+    across, normal = cross(w, along), cross(p - x, along)
+    r = length(normal) / jnp.maximum(length(across), 1e-30)
+    t = jnp.clip(dot(x + w * r - p, along) / jnp.maximum(dot(along, along), 1e-30), 0.0, 1.0)
+    good = (high > low) & jnp.isfinite(r) & (r > 8.0 * world.epsilon)
+    slope = r * r / jnp.maximum(length(normal), 1e-30)
+    beside = edge.two_points(edges.beside[j], plane)[0]
+    weight = jnp.where(good, inverse * (high - low), 0.0)
+    return Chosen(j, x, beside, w, arc.pole, jnp.where(good, r, 1.0), t, slope, weight)
+
+
+def _on_curve(world: World, edges: Edges, c: Any, x: Vec3, seen_from: Vec3, u: Any, plane: Any, inverse: Any) -> Chosen:
+    j = c + edges.ends.shape[0]
+    image = (lambda p: p) if plane is None else plane.image
+    y, along, beside = edges.curve(world, c, seen_from, u)
+    y, along, beside = image(y), image(y + along) - image(y), image(beside)
+    to = y - x
+    r, normal = length(to), cross(to, along)
+    angle = length(normal) / jnp.maximum(r * r, 1e-30)  # dφ/du
+    good = (r > 8.0 * world.epsilon) & (angle > 0)
+    weight = jnp.where(good, inverse * angle, 0.0)
+    slope = 1.0 / jnp.maximum(angle, 1e-30)
+    return Chosen(j, seen_from, beside, normalise(to), normalise(normal), jnp.where(good, r, 1.0), u, slope, weight)
+
+
+def borders(world: World, y: Any, reach: Any) -> Any:
+    """Whether a point of M lies within `reach` (m) of a border of its face, if that is flat."""
+    row = sg(world.geometry).at[jnp.maximum(y.face, 0)].get(mode="clip", wrap_negative_indices=False)
+    a, b = (length(Vec3(row[k], row[k + 1], row[k + 2])) for k in (3, 6))
+    u, v = y.uv
+    four = y.face >= world.first("parallelogram")
+    far = jnp.where(four, jnp.minimum((1.0 - u) * a, (1.0 - v) * b), (1.0 - u - v) * jnp.minimum(a, b))
+    flat = (y.face >= 0) & (y.face < world.first("disk"))
+    return flat & (jnp.minimum(jnp.minimum(u * a, v * b), far) < reach)
+
+
+def owned(world: World, edges: Edges, j: Any, r: Any, reach: Any, minus: Any, plus: Any) -> Any:
+    """The share of an edge in the jump between what is met just beside it on either side.
+
+    All of it, if one of them is a face of the edge, which then is not hidden; half, if the other lies at the edge and
+    ends there too: then that one's border is an edge of its own (walls that were built one by one).
+    """
+    a, b = edges.faces_at(j)
+    own = [(y.face == a) | (y.face == b) for y in (minus, plus)]
+    tie = [borders(world, y, reach) & (jnp.abs(y.distance - r) < reach) for y in (minus, plus)]
+    alone = jnp.where(own[0], tie[1], tie[0])
+    share = jnp.where(own[0] & own[1], 1.0, jnp.where(alone, 0.5, 1.0))
+    parted = (minus.face != plus.face) | (jnp.abs(minus.distance - plus.distance) > reach)  # two sides of a tube
+    parted = parted & (minus.face > -2) & (plus.face > -2)
+    return jnp.where((own[0] | own[1]) & parted, share, 0.0)
+
+
+def follow(world: World, depths: path.Depths, o: Vec3, d: Vec3, s: Stream, depth: Any, unwanted: Spectrum) -> Spectrum:
+    """An estimate of what arrives along a ray that is edge number `depth` of a path, but for `unwanted` emission."""
+    first = replace(path.start(world, o, d), depth=depth, radiance=unwanted * -1.0)
+    step = lambda p: path.bounce(world, depths, p, path.bounce_stream(s, p.depth))
+    return jax.lax.while_loop(lambda p: jnp.any(p.alive), step, first).radiance
+
+
+class Seen(eqx.Module):
+    """A point from which edges are seen: attached position, and held fixed: the normal on its side, an origin for rays
+    by direction (`lift` off the surface), what its path is worth."""
+
+    position: Vec3
+    normal: Vec3
+    lift: Vec3
+    beta: Spectrum
+
+    def origin(self, w: Vec3) -> Vec3:
+        return sg(self.position) + self.lift * jnp.where(dot(self.lift, w) < 0, -1.0, 1.0)
+
+
+def _look(world: World, seen: Seen, chosen: Chosen, side: Any) -> tuple[Vec3, Vec3, Any]:
+    """Origin, direction and face met just beside an edge."""
+    w = normalise(chosen.w + chosen.pole * (side * aside(world, chosen.r)))
+    o = seen.origin(w)
+    return o, w, world.settle(world.search.closest(o, w))
+
+
+class Mirror(eqx.Module):
+    """A flat mirror, chosen by area: its face, its plane, the cone that holds it as seen from x, and 1/its chance."""
+
+    face: Any
+    plane: edge.Plane
+    cone: tuple[Vec3, Any]
+    weight: Any
+
+    @classmethod
+    def choose(cls, world: World, edges: Edges, x: Vec3, u: Any) -> Mirror:
+        chance = edges.mirrors
+        assert chance is not None
+        face = jnp.minimum(jnp.sum(jnp.cumsum(chance) <= u), len(chance) - 1)
+        o, a, b = edge.corners(world, face)
+        middle, sides = o + (a + b) * 0.5, [length(a + b), length(a - b)]  # of a disk, half of the square around it
+        disk = face >= world.first("disk")
+        to = where(disk, o, middle) - x
+        radius = jnp.maximum(*sides) * jnp.where(disk, 1.0, 0.5)
+        sine = radius / jnp.maximum(length(to), 1e-30)
+        ok = chance[face] > 0
+        weight = jnp.where(ok, 1.0 / jnp.where(ok, chance[face], 1.0), 0.0)
+        return cls(face, edge.Plane.of(world, face), (normalise(to), sine), weight)
+
+    def behind(self, world: World, o: Vec3, w: Vec3, at: SurfacePoint) -> SurfacePoint:
+        """What a ray that lands at a point sees in the mirror; of face −2 where the point is not on it."""
+        turned = w - self.plane.n * (2.0 * dot(self.plane.n, w))
+        origin = leave(world, at, turned)
+        y = surface_point(world, world.settle(world.search.closest(origin, turned)), origin, turned)
+        there = at.face == self.face
+        return replace(y, distance=y.distance + at.distance, face=jnp.where(there, y.face, -2))
+
+
+def zero_valued(coefficient: Spectrum, position: Any) -> Spectrum:
+    """coefficient · (position − its own value)."""
+    moved = position - sg(position)
+    return coefficient.map(lambda c: sg(jnp.where(jnp.isfinite(c), c, 0.0)) * moved)
+
+
+def shadows(world: World, edges: Edges, seen: Seen, value: Any, s: Stream) -> Spectrum:
+    """The boundary term of direct light at a point; `value(ω)`: f_r cosθ."""
+    fixed, plan = sg(world), world.plan
+    x, n = sg(seen.position), None if brdf.is_translucent(plan.lobes) else seen.normal
+    bounds = fixed.light_bounds
+    chances = fixed.light_rows[: bounds.shape[0], 13] if bounds.shape[0] > 1 else jnp.ones(1)
+    cdf = jnp.cumsum(chances)
+    k = jnp.minimum(jnp.sum(cdf <= s.pair_at(2)[0] * cdf[-1]), len(chances) - 1)
+    to = Vec3(bounds[k, 0], bounds[k, 1], bounds[k, 2]) - x
+    sine = bounds[k, 3] / jnp.maximum(length(to), 1e-30)
+    chosen = choose(fixed, edges, x, n, s, (normalise(to), sine * 1.0005 + 1e-6), creases=False)
+    j, r = chosen.edge, chosen.r
+    free = jnp.where(dot(chosen.pole, chosen.beside - x) > 0, -1.0, 1.0)
+    o, w, face = _look(fixed, seen, chosen, free)
+    z = surface_point(fixed, face, o, w)
+    _, _, hider = _look(fixed, seen, chosen, -free)
+    asked = z.light_density > 0
+    if bounds.shape[0] > 1:
+        asked &= face == fixed.light_rows[k, 14 + plan.channels].astype(jnp.int32)
+    owner = (hider == edges.faces_at(j)[0]) | (hider == edges.faces_at(j)[1])
+    ok = asked & owner & (face >= 0) & (z.distance > r * 1.0001) & (chosen.weight > 0)
+    emitted = radiance_of(fixed, z, -w)
+    scale = jnp.where(ok, -free * chosen.weight * cdf[-1] / jnp.maximum(chances[k], 1e-30) / r, 0.0)
+    coefficient = seen.beta * value(chosen.w) * emitted * scale
+    y = chosen.attached(world, edges)
+    there = where(ok, z, replace(z, face=jnp.maximum(face, 0)))
+    behind = material.emitter_point(world, there)[0]
+    ratio = r / jnp.where(ok, z.distance, 1.0)
+    w_attached = (y - seen.position) - (behind - seen.position) * ratio
+    return zero_valued(coefficient, dot(chosen.pole, w_attached))
+
+
+def outlines(
+    world: World, edges: Edges, depths: path.Depths, seen: Seen, value: Any, s: Stream, depth: Any
+) -> Spectrum:
+    """The boundary term of reflected light, and of the enclosure's, at a point that a path reached with `depth` edges.
+
+    The emission of lamps that are sampled there has another form, see `shadows`. Edges are seen from there, and where a
+    scene has mirrors their images in one of those as well.
+    """
+    fixed, plan = sg(world), world.plan
+    x, n = sg(seen.position), None if brdf.is_translucent(plan.lobes) else seen.normal
+    kinds: list[tuple[Chosen, Mirror | None]] = [(choose(fixed, edges, x, n, s), None)]
+    if edges.mirrors is not None:
+        mirror = Mirror.choose(fixed, edges, x, s.pair_at(2)[1])
+        kinds.append((choose(fixed, edges, x, n, s.child(1), mirror.cone, mirror.plane), mirror))
+
+    def ray(w: Vec3, pole: Vec3, angle: Any) -> Any:
+        w = normalise(w + pole * angle)
+        o = seen.origin(w)
+        y = surface_point(fixed, world.settle(fixed.search.closest(o, w)), o, w)
+        met, sampled = radiance_of(fixed, y, -w), (y.light_density > 0) & (y.face >= 0) & bool(plan.light_kinds)
+        unwanted = met.map(lambda c: jnp.where(sampled, c, 0.0))
+        return o, w, y, follow(fixed, depths, o, w, s, depth + 1, unwanted)
+
+    sides = [(c.w, c.pole, side * aside(fixed, c.r)) for c, _ in kinds for side in (-1.0, 1.0)]
+    o, w, y, light = jax.vmap(ray)(*jax.tree.map(lambda *a: jnp.stack(a), *sides))
+    total = Spectrum.full(plan.channels, 0.0 * x.x)
+    for k, (chosen, mirror) in enumerate(kinds):
+        rays = [jax.tree.map(lambda a, i=2 * k + i: a[i], (o, w, y, light)) for i in (0, 1)]
+        met = [r[2] for r in rays] if mirror is None else [mirror.behind(fixed, *r[:3]) for r in rays]
+        share = owned(fixed, edges, chosen.edge, chosen.r, 8.0 * aside(fixed, chosen.r) * chosen.r, *met)
+        scale = chosen.weight * share * (1.0 if mirror is None else mirror.weight) / chosen.r
+        coefficient = seen.beta * value(chosen.w) * (rays[0][3] - rays[1][3]) * scale
+        y_attached = chosen.attached(world, edges, None if mirror is None else mirror.face)
+        total = total + zero_valued(coefficient, dot(chosen.pole, y_attached - seen.position))
+    return total
+
+
+def surfaces(
+    world: World, edges: Edges, begin: Any, steps: int, depths: path.Depths, seed: Any, numbers: Any, spp: int
+) -> Any:
+    """The boundary terms of all reflection integrals on the way to lanes `numbers`, means over spp paths, (N, C): 0.
+
+    Each path takes the term of direct light at every landing, and that of reflected light at one of them: with
+    chance 1/2 at the first, 1/4 at the second. What a meter takes in counts as a landing before those.
+    """
+    fixed, plan = sg(world), world.plan
+    seed, last = combine(seed, 0xB0DE), max(steps - 2, 0)
+
+    def landed(x: SurfacePoint, at: Any, beta: Spectrum) -> Seen:
+        return Seen(x.position, sg(at.frame.n * at.side), sg(x.normal) * fixed.epsilon, sg(beta))
+
+    def one(number: Any, sample: Any) -> Any:
+        s = path.sample_stream(seed, number, sample)
+        begun, meter = begin(world, number, s), begin.meter(world, number, s)
+        first = 0 if meter is None else -1
+        u = s.child(21).pair_at(0)[0]
+        which = jnp.floor(-jnp.log2(jnp.maximum(1.0 - u, 1e-9))).astype(jnp.int32) + first
+        which = jnp.minimum(which, last) if steps > 1 else jnp.full_like(which, first)
+        rare = jnp.exp2(jnp.minimum(which - first + 1, last - first if steps > 1 else 0).astype(u.dtype))
+        total = Spectrum.full(plan.channels, 0.0 * begun.o.x)
+        x = surface_point(fixed, jnp.zeros_like(begun.depth), sg(begun.o), sg(begun.d))  # of the right structure
+        kept = (begun.o, x, sg(begun.d), sg(begun.beta), begun.alive & False)
+        white = lambda n, w: Spectrum.full(plan.channels, jnp.maximum(dot(n, w), 0.0))
+        if meter is not None:
+            position, normal, weight = meter
+            beta = Spectrum.full(plan.channels, sg(weight * jnp.ones_like(u)))
+            if plan.light_kinds:
+                seen = Seen(position, sg(normal), sg(normal) * 0.0, beta)
+                total = total + shadows(world, edges, seen, functools.partial(white, sg(normal)), s.child(22))
+            kept = (position, replace(x, normal=sg(normal)), sg(normal), beta, which == -1)
+
+        def body(carry: Any, k: Any) -> tuple[Any, None]:
+            state, total, kept = carry
+            s_k = path.bounce_stream(s, k)
+            x = surface_point(world, world.settle(fixed.search.closest(state.o, state.d)), state.o, state.d)
+            wo = -state.d
+            at = shading_at(world, x, wo, choice(world, s_k), True)
+            goes_on = (state.depth + 1 < depths.max_depth) | (depths.max_depth < 0)
+            alive = state.alive & (x.face >= 0) & goes_on
+            if plan.light_kinds:
+                f = functools.partial(reflected, fixed, sg(at))
+                term = shadows(world, edges, landed(x, at, state.beta), f, s_k.child(22))
+                total = total + term.map(lambda c: jnp.where(alive, c, 0.0))
+            here = alive & (k.astype(jnp.int32) == which)
+            kept = where(here, (x.position, sg(x), sg(wo), sg(state.beta), here), kept)
+            node = world.settle(reflection_node(world, at, s_k))
+            beta = sg(state.beta * node.weight)
+            follow = path.PathState(
+                leave(world, x, node.w), node.w, beta, state.radiance, node.pdf, node.delta, state.depth + 1,
+                alive & (beta.max() > 0),
+            )  # fmt: skip
+            return (follow, total, kept), None
+
+        if steps > 1:
+            landings = jnp.arange(steps - 1, dtype=jnp.uint32)
+            (_, total, kept), _ = jax.lax.scan(body, (begun, total, kept), landings)
+        position, x, wo, beta, found = kept
+        s_k = path.bounce_stream(s, which)
+        at = shading_at(fixed, x, wo, choice(fixed, s_k))
+        seen, f = replace(landed(x, at, beta * rare), position=position), functools.partial(reflected, fixed, at)
+        if meter is not None:
+            here = which == -1
+            normal = where(here, x.normal, seen.normal)
+            seen = replace(seen, normal=normal, lift=seen.lift * jnp.where(here, 0.0, 1.0))
+            f = lambda w: where(here, white(normal, w), reflected(fixed, at, w))
+        term = outlines(world, edges, depths, seen, f, s_k.child(23), which)
+        return (total + term.map(lambda c: jnp.where(found, c, 0.0))).array()
+
+    @functools.partial(jax.checkpoint, prevent_cse=False)
+    def one_pass(numbers: Any, sample: Any) -> Any:
+        return jax.vmap(lambda number: one(number, sample))(numbers)
+
+    zero = jnp.zeros((numbers.shape[0], plan.channels), world.faces.dtype)
+    add = lambda total, sample: (total + one_pass(numbers, sample), None)
+    return jax.lax.scan(add, zero, jnp.arange(spp, dtype=jnp.int32))[0] / spp
