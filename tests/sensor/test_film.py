@@ -133,3 +133,19 @@ def test_a_border_is_sampled_beyond_the_edge():
     x, y = jax.vmap(lambda v: film.sample(made, p, (v, v)))(u)
     assert x.min() < -1 and y.max() > H + 1
     np.testing.assert_allclose([x.mean(), y.mean()], [0.5, H - 0.5], atol=1e-3)
+
+
+@EVERY
+@pytest.mark.parametrize("column", [0, 4])
+def test_the_density_is_the_filter(name, column):
+    """h_p at positions in the picture, by a table of 1024 steps, as outlines need it."""
+    made, h, row = (0, 0, *FILTERS[name]), shape_of(name), 3
+    p = film.pixel(made, jnp.float32(column), jnp.float32(row), W, H)
+    at = np.random.default_rng(1).uniform(0, (W, H), (64, 2))
+    got = jax.vmap(lambda q: film.density(made, p, (q[0], q[1])))(at.astype(np.float32))
+    want, peak = np.ones(len(at)), 1.0
+    for axis, (center, size) in enumerate(((column + 0.5, W), (row + 0.5, H))):
+        x = np.linspace(0, size, 20001)
+        total = integrate.trapezoid(h(x - center), x)
+        want, peak = want * h(at[:, axis] - center) / total, peak * h(0.0) / total
+    np.testing.assert_allclose(got, want, atol=0.01 * peak)
