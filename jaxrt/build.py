@@ -289,7 +289,7 @@ def build(
             emitters=tuple(emitters),
             sensors=sensor_structures,
             sensor_ids=tuple(views.ids),
-            integrator=(integrator.max_depth, integrator.rr_depth, integrator.hide_emitters, integrator.spp),
+            integrator=dataclasses.astuple(integrator),
             source=source,
         ),
     )

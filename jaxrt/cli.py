@@ -179,8 +179,9 @@ def _parser() -> argparse.ArgumentParser:
     )  # fmt: skip
     add("--memory", metavar="MB", type=_whole(1), help="what the render may take; default: a quarter of the machine's")
     add(
-        "--aov", metavar="NAMES", type=lambda text: text.split(","), default=[],
-        help="put into the EXR what pixels see first: any of depth,normal,albedo,uv,position,face",
+        "--aov", metavar="NAMES", type=lambda text: text.split(",") if text else [],
+        help="put into the EXR what pixels see first: any of depth,normal,geo_normal,albedo,uv,position,face, or "
+        "name:depth, ...; default: what the scene asks",
     )  # fmt: skip
     add("--exposure", metavar="E", type=_stops, default=0.0, help="brightness of the PNG in stops")
     render.set_defaults(run=_render)

@@ -77,7 +77,10 @@ def _make(
     compiled, out = None, None
     if file is not None and file.exists():
         try:
-            kept, example = pickle.loads(file.read_bytes())
+            data = file.read_bytes()
+            if b"lapack_" in data:
+                _lapack()
+            kept, example = pickle.loads(data)
             compiled, out = serialize_executable.deserialize_and_load(*kept), jax.tree.structure(example)
         except Exception:  # a damaged or foreign file: made anew below
             compiled = None
@@ -97,6 +100,12 @@ def _make(
             _keep(file, pickle.dumps((serialize_executable.serialize(compiled), example)))
     run = compiled
     return lambda *args: jax.tree.unflatten(out, run(*jax.tree.leaves(args)))
+
+
+@functools.cache
+def _lapack() -> None:
+    """Have jax find LAPACK, which it does when it lowers a call: a kept program would call what is not there yet."""
+    jax.jit(jnp.linalg.inv).lower(jnp.eye(1))
 
 
 def _keep(file: Path, data: bytes) -> None:

@@ -16,10 +16,11 @@ from typing import TYPE_CHECKING, Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float, Int32
 
-from .parts import Film, Integrator, SceneError
+from .parts import LUMINANCE, Film, Integrator, SceneError
 
 if TYPE_CHECKING:
     from .effects import Plan
@@ -58,11 +59,12 @@ class SensorStructure:
 
     kind: str
     fov_axis: str
-    film: tuple[Any, ...]  # width, height, filter, radius, stddev
+    film: tuple[Any, ...]  # width, height, and those of `sensor.film.Filter`
     window: tuple[float, float, float, float]  # the picture's corner on the film it is cut from, and that film's size
     row: int = 0  # of tables of sensors
     area: tuple[str, str, int, int] | None = None  # what it measures over: table, kind of faces, first, past the last
     parts: tuple[SensorStructure, ...] = ()  # side by side in a batch
+    grey: bool = False  # whether the picture is luminance alone
 
     def sized(self, width: int, height: int) -> SensorStructure:
         """The same view in other pixels."""
@@ -79,6 +81,10 @@ class SensorStructure:
         """What a program depends on: sizes are run-time numbers."""
         return SensorStructure(self.kind, self.fov_axis, (0, 0, *self.film[2:]), (0.0, 0.0, 0.0, 0.0))
 
+    def tones(self, channels: int) -> np.ndarray | None:
+        """What turns the scene's channels (..., C) into the picture's, (C, 1); None where they are the same."""
+        return LUMINANCE[:, None] if self.grey and channels == 3 else None
+
     def as_film(self) -> Film:
         return Film(*self.film)
 
@@ -93,7 +99,7 @@ class Structure:
     emitters: tuple[str, ...] = ()  # and of radiance
     sensors: tuple[SensorStructure, ...] = ()
     sensor_ids: tuple[str, ...] = ()
-    integrator: tuple[int, int, bool, int] = dataclasses.astuple(Integrator())
+    integrator: tuple[Any, ...] = dataclasses.astuple(Integrator())
     source: str = ""
 
     def asked(self) -> Integrator:

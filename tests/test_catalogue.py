@@ -112,16 +112,19 @@ def test_lamps_without_extent(name, tmp_path):
 
 
 @pytest.mark.parametrize("kind", ["perspective", "orthographic"])
-def test_crop_windows_and_principal_points(kind, tmp_path):
+def test_crop_windows_principal_points_and_filters(kind, tmp_path):
     text = SCENE.format(depth=3, emitter=CONSTANT, shape=BALL.format('<bsdf type="diffuse"/>'))
     crop = zip(("width", "height", "offset_x", "offset_y"), (10, 12, 9, 3), strict=True)
     window = "".join(f'<integer name="crop_{k}" value="{v}"/>' for k, v in crop)
     text = text.replace('<integer name="height"', window + '<integer name="height"')
     if kind == "orthographic":
         text = text.replace('"perspective"><float name="fov" value="40"/>', '"orthographic">')
+        text = text.replace('<rfilter type="box"/>', '<rfilter type="mitchell"/>')
     else:
         shift = "".join(f'<float name="principal_point_offset_{k}" value="{v}"/>' for k, v in (("x", 0.1), ("y", -0.2)))
         text = text.replace('<float name="fov"', shift + '<float name="fov"')
+        border = '<boolean name="sample_border" value="true"/><rfilter type="lanczos"/>'
+        text = text.replace('<rfilter type="box"/>', border)
     check(tmp_path, text)
 
 

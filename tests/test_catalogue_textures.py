@@ -5,6 +5,8 @@ import pytest
 from test_catalogue import CONSTANT, GOLD, LAMPS, SCENE, check, rough, two
 
 from jaxrt.files import image
+from jaxrt.files.textures import read_picture
+from jaxrt.parts import SceneError
 
 pytestmark = [pytest.mark.peer, pytest.mark.usefixtures("short_loops")]
 
@@ -36,6 +38,9 @@ def pictures(tmp_path):
     body = [" ".join(map(str, p + t + c)) for p, t, c in zip(corners, uvs, colours, strict=True)]
     body += ["3 0 1 2 .1 .8 .3", "3 0 2 3 .7 .2 .9"]
     (tmp_path / "sheet.ply").write_text("\n".join(head + body) + "\n")
+    bare = [*(f"{x} {y} {z}" for x, y, z in corners), "3 0 1 2", "3 0 2 3"]
+    kept = [line for line in head if line[-2:] not in (" u", " v", " r", " g", " b")]
+    (tmp_path / "bare.ply").write_text("\n".join(kept + bare) + "\n")
 
 
 def bitmap(name, file, more=""):
@@ -74,8 +79,11 @@ TEXTURED = {
     "vertex_color": attribute("vertex_color"),
     "face_color": attribute("face_color"),
     "roughness": two(
-        rough("ggx", bitmap("alpha", "grey.png", '<boolean name="raw" value="true"/>') + GOLD),
+        rough("ggx", bitmap("alpha_u", "grey.png", RAW) + bitmap("alpha_v", "colours.png", RAW) + GOLD),
         f'<bsdf type="plastic">{bitmap("diffuse_reflectance", "colours.png")}</bsdf>',
+    ),
+    "no coordinates": SHEET.replace("sheet", "bare").format(
+        rough("ggx", '<float name="alpha_u" value=".05"/><float name="alpha_v" value=".4"/>')
     ),
     "principled": two(
         f'<bsdf type="principled">{bitmap("base_color", "colours.png")}{bitmap("roughness", "grey.png", RAW)}</bsdf>',
@@ -156,3 +164,18 @@ def test_projectors(tmp_path, pictures):
     </transform></emitter>"""
     shape = two('<bsdf type="diffuse"/>', '<bsdf type="diffuse"/>')
     check(tmp_path, SCENE.format(depth=2, emitter=emitter + LAMPS["spot"], shape=shape))
+
+
+def test_pictures_of_floats_are_read_alike(tmp_path):
+    """Radiance's RGBE without and with run lengths, and PFM of one and three channels."""
+    mi = pytest.importorskip("mitsuba")
+    mi.set_variant("scalar_rgb")
+    random = np.random.default_rng(4)
+    for name, shape in (("a.hdr", (3, 5, 3)), ("b.hdr", (3, 40, 3)), ("c.pfm", (4, 3, 3)), ("d.pfm", (4, 3, 1))):
+        values = np.repeat(random.random(shape).astype(np.float32) ** 4 * 9, 2, 1)
+        mi.Bitmap(values).write(str(tmp_path / name))
+        want = np.array(mi.Bitmap(str(tmp_path / name))).reshape(values.shape)
+        np.testing.assert_array_equal(read_picture(tmp_path / name), want, name)
+    (tmp_path / "d.pfm").write_bytes((tmp_path / "d.pfm").read_bytes()[:-1])
+    with pytest.raises(SceneError, match="which it does not hold"):
+        read_picture(tmp_path / "d.pfm")

@@ -1,11 +1,17 @@
-"""Functions that XLA is asked to compile as one: in the forms in which it would abort."""
+"""Functions that XLA is asked to compile as one, in the forms in which it would abort; and programs from another process."""
+
+import subprocess
+import sys
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from jaxrt import compiler
 from jaxrt.compiler import one_function
+from jaxrt.solver import links, path, probe
+from jaxrt.world import prepare
 
 
 def body(a, b, unused, empty):
@@ -36,3 +42,27 @@ def test_within_loops_and_vmap():
     x, y = jax.jit(lambda: jax.lax.fori_loop(0, 20, step, (jnp.zeros(100), jnp.ones(100))))()
     np.testing.assert_allclose(x, 2.0, rtol=1e-5)
     np.testing.assert_allclose(y, 0.5**20, rtol=1e-5)
+
+
+INVERT = """
+import pathlib, sys
+import jax.numpy as jnp
+from jaxrt import compiler
+compiler.folder = pathlib.Path(sys.argv[1])
+a = 2 * jnp.eye(3)
+print(len(list(compiler.folder.glob("*"))), float(compiler.program(jnp.linalg.inv, a)(a).sum()))
+"""
+
+
+def test_a_kept_program_with_linear_algebra(tmp_path):
+    """It calls LAPACK, which a process that lowers nothing has not found yet: it would call address 0."""
+    for kept in (0, 1):
+        done = subprocess.run([sys.executable, "-c", INVERT, str(tmp_path)], capture_output=True, text=True, check=True)
+        assert done.stdout.split() == [str(kept), "1.5"]
+
+
+def test_what_is_kept_has_a_name(tmp_path, monkeypatch):
+    """A function with derivatives of its own has none in some versions of equinox, and no file could be named."""
+    monkeypatch.setattr(compiler, "folder", tmp_path)
+    functions = [links.link_rows, probe.lit, probe.stood_on, path.trace_rows, prepare]
+    assert len({compiler._file(f, "tree", ()) for f in functions}) == len(functions)

@@ -107,7 +107,9 @@ def motions(res: int = 48) -> dict[str, Callable[[], Motion]]:
     ball = jaxrt.Mesh(id="ball", vertices=v * 0.5 + [-0.2, 0.9, 0.1], faces=f, normals=v, bsdf=jaxrt.Diffuse(0.4))
     sphere = jaxrt.Sphere(id="ball", center=(-0.2, 0.9, 0.1), radius=0.5, bsdf=jaxrt.Diffuse(0.4))
     disk = jaxrt.Disk(id="disk", to_world=placed(0.4, (1.0, 1.2, 0.3), "y"), bsdf=jaxrt.TwoSided(jaxrt.Diffuse(0.6)))
-    tube = jaxrt.Cylinder(id="tube", p0=(-1.5, 0.6, 0.3), p1=(-0.9, 0.8, 1.4), radius=0.25, bsdf=jaxrt.TwoSided(jaxrt.Diffuse(0.6)))
+    tube = jaxrt.Cylinder(
+        id="tube", p0=(-1.5, 0.6, 0.3), p1=(-0.9, 0.8, 1.4), radius=0.25, bsdf=jaxrt.TwoSided(jaxrt.Diffuse(0.6))
+    )
     mirror = jaxrt.Rectangle(
         id="mirror", to_world=placed(1.2, (0.0, 1.3, -1.2), "z"), bsdf=jaxrt.Conductor(0.0, id="m")
     )
@@ -126,18 +128,44 @@ def motions(res: int = 48) -> dict[str, Callable[[], Motion]]:
     return {
         "occluder moved": lambda: Motion(stage(res), cube([1.0, 0.0, 0.3]), 2),
         "occluder turned": lambda: Motion(stage(res), lambda t: {"cube.to_world": turned(CUBE, t)}, 2),
-        "receiver lifted": lambda: Motion(stage(res), lambda t: {"floor.to_world": shifted(FLOOR, jnp.array([0, 1.0, 0]) * t)}, 2),
-        "lamp moved": lambda: Motion(stage(res), lambda t: {"lamp.to_world": shifted(LAMP, jnp.array([1.0, 0.5, 0.3]) * t)}, 2),
-        "camera moved": lambda: Motion(stage(res), lambda t: {"sensor.to_world": shifted(CAMERA, jnp.array([1.0, 0.3, -0.5]) * t)}, 2),
+        "receiver lifted": lambda: Motion(
+            stage(res), lambda t: {"floor.to_world": shifted(FLOOR, jnp.array([0, 1.0, 0]) * t)}, 2
+        ),
+        "lamp moved": lambda: Motion(
+            stage(res), lambda t: {"lamp.to_world": shifted(LAMP, jnp.array([1.0, 0.5, 0.3]) * t)}, 2
+        ),
+        "camera moved": lambda: Motion(
+            stage(res), lambda t: {"sensor.to_world": shifted(CAMERA, jnp.array([1.0, 0.3, -0.5]) * t)}, 2
+        ),
         "field of view": lambda: Motion(stage(res), lambda t: {"sensor.fov": 40.0 + 20.0 * t}, 2),
         "all at once": lambda: Motion(stage(res), everything, 2),
         "under the sky": lambda: Motion(stage(res, lamp=0.0, enclosure=1.0), cube([1.0, 0.3, 0.3]), 2),
         "glossy floor": lambda: Motion(stage(res, floor=jaxrt.Conductor(0.3, id="gloss")), cube([1.0, 0.0, 0.3]), 3),
-        "smooth ball": lambda: Motion(stage(res, cube=ball), lambda t: {"ball.vertices": jnp.asarray(v * 0.5 + [-0.2, 0.9, 0.1]) + jnp.array([1.0, 0.2, 0.3]) * t}, 2),
-        "sphere, disk, tube": lambda: Motion(stage(res, disk, tube, cube=sphere), lambda t: {"ball.center": jnp.array([-0.2, 0.9, 0.1]) + jnp.array([1.0, 0.2, 0.3]) * t, "disk.to_world": shifted(placed(0.4, (1.0, 1.2, 0.3), "y"), jnp.array([-0.5, 0.5, 0.8]) * t), "tube.p0": jnp.array([-1.5, 0.6, 0.3]) + jnp.array([0.3, 1.0, 0.0]) * t}, 2),
+        "smooth ball": lambda: Motion(
+            stage(res, cube=ball),
+            lambda t: {"ball.vertices": jnp.asarray(v * 0.5 + [-0.2, 0.9, 0.1]) + jnp.array([1.0, 0.2, 0.3]) * t},
+            2,
+        ),
+        "sphere, disk, tube": lambda: Motion(
+            stage(res, disk, tube, cube=sphere),
+            lambda t: {
+                "ball.center": jnp.array([-0.2, 0.9, 0.1]) + jnp.array([1.0, 0.2, 0.3]) * t,
+                "disk.to_world": shifted(placed(0.4, (1.0, 1.2, 0.3), "y"), jnp.array([-0.5, 0.5, 0.8]) * t),
+                "tube.p0": jnp.array([-1.5, 0.6, 0.3]) + jnp.array([0.3, 1.0, 0.0]) * t,
+            },
+            2,
+        ),
         "indirect, occluder": lambda: Motion(room(res), cube([1.0, 0.0, 0.3]), 4),
         "indirect, all": lambda: Motion(room(res), everything, 4),
-        "hidden lamp": lambda: Motion(room(res, screen), lambda t: {"screen.to_world": shifted(placed(0.8, (0.3, 2.3, 0.2), "y"), jnp.array([1.0, 0.2, 0.0]) * t)}, 4),
+        "hidden lamp": lambda: Motion(
+            room(res, screen),
+            lambda t: {"screen.to_world": shifted(placed(0.8, (0.3, 2.3, 0.2), "y"), jnp.array([1.0, 0.2, 0.0]) * t)},
+            4,
+        ),
         "mirror, occluder": lambda: Motion(stage(res, mirror), cube([1.0, 0.0, 0.3]), 4),
-        "mirror moved": lambda: Motion(stage(res, mirror), lambda t: {"mirror.to_world": shifted(placed(1.2, (0.0, 1.3, -1.2), "z"), jnp.array([0.3, 0.0, 1.0]) * t)}, 4),
-    }  # fmt: skip
+        "mirror moved": lambda: Motion(
+            stage(res, mirror),
+            lambda t: {"mirror.to_world": shifted(placed(1.2, (0.0, 1.3, -1.2), "z"), jnp.array([0.3, 0.0, 1.0]) * t)},
+            4,
+        ),
+    }

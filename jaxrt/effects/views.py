@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from ..intersect import BACKENDS
+from ..parts.sensors import FILM_FILTERS
 from ..scene import SENSORS
 from .effect import Chosen, Effect, Found, named
 from .facts import Facts
@@ -41,5 +42,5 @@ EFFECTS = (
     Effect("hide_emitters", _hide, lambda facts, chosen: {"hide_emitters": True}),
     *(_backend(name) for name in BACKENDS),
     *(_sensor(kind) for kind in SENSORS),
-    *(_film(kind) for kind in ("box", "tent", "gaussian")),
+    *(_film(kind) for kind in FILM_FILTERS),
 )

@@ -16,8 +16,15 @@ from ..parts import SceneError
 unfinished: set[str] = set()
 """Files that are being written, by their temporary names."""
 
-AOVS = {"depth": "", "normal": "XYZ", "albedo": "RGB", "uv": "UV", "position": "XYZ", "face": ""}
+AOVS = {"depth": "", "normal": "XYZ", "geo_normal": "XYZ", "albedo": "RGB", "uv": "UV", "position": "XYZ", "face": ""}
 """What `render` may give of each pixel beside its radiance, and the names of its channels in an EXR file."""
+
+
+def aov_of(asked: str) -> tuple[str, str]:
+    """The name and the kind of what is asked for as "kind", or as "name:kind"."""
+    name, colon, kind = asked.rpartition(":")
+    return (name, kind) if colon else (kind, kind)
+
 
 _LARGEST = 1 << 15  # pixels to a side, as `Film` has it; a damaged header may claim anything
 
@@ -84,7 +91,8 @@ def write_exr(
         if channels["stderr"].shape != channels["RGB"].shape:
             raise SceneError(f"stderr has shape {np.shape(stderr)}, image {np.shape(image)}; give the same")
     for name, values in (aovs or {}).items():
-        suffixes = [f".{c}" for c in AOVS[name]] or [""]
+        name, kind = aov_of(name)
+        suffixes = [f".{c}" for c in AOVS[kind]] or ["" if name == kind else ".T"]  # as Mitsuba has it
         planes = np.asarray(values, np.float32).reshape(*channels["RGB"].shape[:2], -1)
         planes = np.broadcast_to(planes, (*planes.shape[:2], len(suffixes)))
         channels |= {name + c: np.ascontiguousarray(planes[..., k]) for k, c in enumerate(suffixes)}

@@ -11,10 +11,11 @@ import numpy as np
 from .. import parts
 from . import mitsuba_xml
 from .mitsuba_context import Context
+from .mitsuba_integrators import integrator
 from .mitsuba_lamps import ENCLOSURES, LAMPS, SKIES, enclosure, lamp
 from .mitsuba_materials import UNSEEN, bsdf
 from .mitsuba_nodes import OBJECTS
-from .mitsuba_sensors import integrator, sensor
+from .mitsuba_sensors import sensor
 from .mitsuba_shapes import shape, unmerged
 from .mitsuba_xml import Document, Element
 

@@ -44,14 +44,24 @@ def color(ctx: Context, element: Element, name: str, default: Any, role: spectra
     return rgb
 
 
+_SPECTRA = ("d65", "uniform", "srgb", "rawconstant")
+
+
 def _spectrum_plugin(ctx: Context, element: Element) -> Any:
-    """`d65` (white of luminance 1, times scale and color) and `uniform`, which are grey in Mitsuba's rgb variants."""
-    if element.tag not in ("spectrum", "texture") or element.plugin not in ("d65", "uniform"):
-        element.fail("is not supported as a colour; give an <rgb> or a <spectrum value>")
+    """`d65` (white of luminance 1, times scale and color), `uniform` and `rawconstant`, which are grey in Mitsuba's rgb
+    variants, or `srgb`. Its others have no colour there."""
+    if element.tag not in ("spectrum", "texture") or element.plugin not in _SPECTRA:
+        what = "an <rgb>, a <spectrum value> or a spectrum of type"
+        element.fail(f"is not supported as a colour; give {what} {', '.join(_SPECTRA)}")
     if element.plugin == "uniform":
         result: Any = ctx.number(element, "value")
+    elif element.plugin == "rawconstant":
+        given = ctx.get(element, "value", "float", "integer", "vector", "point")
+        result = element.fail("has no value; add one") if given is None else given.content
     else:
         given = ctx.get(element, "color", "rgb")
+        if given is None and element.plugin == "srgb":
+            element.fail("has no color; add an <rgb>")
         result = ctx.number(element, "scale", 1.0) * (1.0 if given is None else given.content)
     ctx.finish(element)
     return result
@@ -80,7 +90,7 @@ def _conductor(ctx: Context, element: Element, name: str) -> dict[str, Any]:
     if not material:
         eta, k = (color(ctx, element, key, CONDUCTORS["none"][i], "ior") for i, key in enumerate(("eta", "k")))
     else:
-        if any(key in element.values for key in ("eta", "k")):
+        if element.names & {"eta", "k"}:
             element.fail("has a material and also eta or k; give only one kind")
         if material not in CONDUCTORS:
             element.fail(f"material {material[:80]!r} is not known; {_close(material, CONDUCTORS, 'eta and k')}")
@@ -102,8 +112,8 @@ def _microfacets(ctx: Context, element: Element) -> dict[str, Any]:
     distribution = ctx.string(element, "distribution", "beckmann").lower()
     if distribution not in _SEPARABLE:
         element.fail(f"distribution {distribution[:80]!r} is not known; give beckmann or ggx")
-    both = [key in element.values for key in ("alpha_u", "alpha_v")]
-    if any(both) and (not all(both) or "alpha" in element.values):
+    both = [key in element.names for key in ("alpha_u", "alpha_v")]
+    if any(both) and (not all(both) or "alpha" in element.names):
         element.fail("has only part of its roughness; give alpha, or both alpha_u and alpha_v")
     alpha = [_roughness(ctx, element, key) for key in (("alpha_u", "alpha_v") if any(both) else ("alpha",))]
     return {"alpha": alpha, "distribution": distribution}

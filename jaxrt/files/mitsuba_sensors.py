@@ -16,10 +16,10 @@ from .transforms import look_at
 
 SAMPLES = 4  # of Mitsuba's samplers, where a file does not say
 
+_PIXELS = ("luminance", "luminance_alpha", "rgb", "rgba", "xyz", "xyza")
 _SAMPLERS = ("independent", "stratified", "multijitter", "orthogonal", "ldsampler")
 _DIAGONAL = np.hypot(36.0, 24.0)  # mm, of the 35 mm film that a focal_length refers to
 _CROP = ("crop_width", "crop_height", "crop_offset_x", "crop_offset_y")
-_NO_EFFECT = "has no effect here"
 
 
 def sensor(ctx: Context, element: Element, place: str, standing: Any = None) -> tuple[parts.Sensor, int]:
@@ -172,15 +172,21 @@ def film(ctx: Context, element: Element) -> parts.Film:
         x, y = (ctx.integer(element, f"crop_offset_{axis}", 0) for axis in "xy")
         fields["crop"] = (x, y, width, height)
         width, height = (ctx.integer(element, f"crop_{k}", n) for k, n in (("width", width), ("height", height)))
+    fields["border"] = ctx.boolean(element, "sample_border", False)
+    pixels = ctx.string(element, "pixel_format", "rgb").lower()
+    if pixels not in _PIXELS:
+        element.fail(f"pixel_format {pixels[:80]!r} is not known; give one of {', '.join(_PIXELS)}")
+    if pixels.startswith("xyz"):
+        ctx.notes.append(f"{element.node.label}: pixel_format {pixels} is written as rgb")
+    fields["grey"] = pixels.startswith("luminance")
     made = ctx.part(element, parts.Film, width=width, height=height, **fields)
-    silent = dict.fromkeys(("pixel_format", "component_format", "file_format", "banner", "compensate"), "")
-    ctx.finish(element, {**silent, "sample_border": _NO_EFFECT})
+    ctx.finish(element, dict.fromkeys(("component_format", "file_format", "banner", "compensate"), ""))
     return made
 
 
 def _filter(ctx: Context, element: Element) -> dict[str, Any]:
-    if element.plugin not in ("box", "tent", "gaussian"):
-        element.fail("is not supported; use box, tent or gaussian")
+    if element.plugin not in FILM_FILTERS:
+        element.fail(f"is not supported; use {', '.join(FILM_FILTERS)}")
     fields: dict[str, Any] = {"filter": element.plugin}
     if element.plugin == "tent":
         fields["radius"] = ctx.number(element, "radius", 1.0)
@@ -188,34 +194,9 @@ def _filter(ctx: Context, element: Element) -> dict[str, Any]:
         fields["stddev"] = ctx.number(element, "stddev", 0.5)
         if not fields["stddev"] > 0:
             element.fail("stddev is not positive; give a positive one")
+    elif element.plugin == "mitchell":
+        fields["bc"] = (ctx.number(element, "B", 1 / 3), ctx.number(element, "C", 1 / 3))
+    elif element.plugin == "lanczos":
+        fields["radius"] = float(ctx.integer(element, "lobes", 3))
     ctx.finish(element)
     return fields
-
-
-def integrator(ctx: Context, element: Element, inside: bool = False) -> dict[str, Any]:
-    """Fields of `parts.Integrator`. `inside`: it stands in a `moment`, which only wraps another one."""
-    if element.plugin == "moment" and not inside:
-        inner = ctx.children(element, "integrator")
-        if len(inner) != 1:
-            element.fail(f"has {len(inner)} integrators inside; give one")
-        ctx.boolean(element, "hide_emitters", False)  # Mitsuba, too, takes the inner one's
-        ctx.finish(element, _ORGANISATION)
-        return integrator(ctx, inner[0], inside=True)
-    if element.plugin not in _DEPTHS:
-        element.fail(f"is not supported; use {', '.join(_DEPTHS)} or one of them in a moment")
-    fields: dict[str, Any] = {"hide_emitters": ctx.boolean(element, "hide_emitters", False)}
-    ignored = dict(_ORGANISATION)
-    if element.plugin == "direct":
-        fields["max_depth"] = _DEPTHS["direct"]
-        splits = ("emitter_samples", "bsdf_samples", "shading_samples")
-        ignored |= dict.fromkeys(splits, f"{_NO_EFFECT}: each sample combines one of the light and one of the BSDF")
-    else:
-        fields["max_depth"] = ctx.integer(element, "max_depth", _DEPTHS[element.plugin])
-        fields["rr_depth"] = ctx.integer(element, "rr_depth", 5)
-    ctx.part(element, parts.Integrator, **fields)
-    ctx.finish(element, ignored)
-    return fields
-
-
-_DEPTHS = {"path": -1, "prb": 6, "direct": 2, "ptracer": -1}  # and Mitsuba's default max_depth
-_ORGANISATION = {"block_size": "", "samples_per_pass": "", "timeout": _NO_EFFECT}

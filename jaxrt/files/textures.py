@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import re
 from pathlib import Path
 
 import numpy as np
@@ -39,7 +40,7 @@ def decoded(data: bytes, raw: bool = False) -> np.ndarray:
 
 
 def read_picture(path: str | Path, raw: bool = False) -> np.ndarray:
-    """(H, W, 1 or 3) float32, linear unless `raw`; EXR and HDR are linear as they are. Raises `SceneError`."""
+    """(H, W, 1 or 3) float32, linear unless `raw`; EXR, HDR and PFM are linear as they are. Raises `SceneError`."""
     suffix = Path(path).suffix.lower()
     if suffix == ".exr":
         image = read_exr(path)[0]
@@ -50,17 +51,33 @@ def read_picture(path: str | Path, raw: bool = False) -> np.ndarray:
         raise SceneError(f"{path}: cannot be read ({problem.strerror}); check the path") from None
     if suffix in (".hdr", ".rgbe"):
         return _radiance_hdr(path, data)
+    if suffix == ".pfm":
+        return _portable_floats(path, data)
     try:
         x = decoded(data, raw)
     except ValueError as problem:
         raise SceneError(
-            f"{path}: is no picture that can be read ({problem}); give PNG, JPEG, BMP, EXR or HDR"
+            f"{path}: is no picture that can be read ({problem}); give PNG, JPEG, BMP, EXR, HDR or PFM"
         ) from None
     return x[..., :3]
 
 
+def _portable_floats(path: str | Path, data: bytes) -> np.ndarray:
+    """PFM: a head of three lines, then floats with the rows from below; a negative scale says little-endian."""
+    head = re.match(rb"P([Ff])\s+(\d{1,5})\s+(\d{1,5})\s+(-?)[\d.eE+-]+\s", data)
+    if head is None:
+        raise SceneError(f"{path}: is no PFM picture; make it again")
+    width, height, channels = int(head[2]), int(head[3]), 3 if head[1] == b"F" else 1
+    body = data[head.end() :]
+    if width * height == 0 or len(body) != 4 * width * height * channels:
+        raise SceneError(f"{path}: claims {width} x {height} pixels, which it does not hold; it is damaged")
+    floats = np.frombuffer(body, "<f4" if head[4] else ">f4").reshape(height, width, channels)
+    return np.ascontiguousarray(floats[::-1], np.float32)
+
+
 def _radiance_hdr(path: str | Path, data: bytes) -> np.ndarray:
-    """Radiance's RGBE format (Ward 1991), with or without run lengths."""
+    """Radiance's RGBE format (Ward 1991), with or without run lengths; a number is the lower end of its interval, as
+    most readers have it, and not the middle."""
 
     def refuse(why: str) -> SceneError:
         return SceneError(f"{path}: {why}; make it again")
@@ -102,4 +119,4 @@ def _radiance_hdr(path: str | Path, data: bytes) -> np.ndarray:
             rgbe[y] = np.frombuffer(body, np.uint8, 4 * width, at).reshape(width, 4)
             at += 4 * width
     scale = np.ldexp(1.0, rgbe[..., 3:].astype(int) - 136)
-    return (np.where(rgbe[..., 3:] > 0, rgbe[..., :3] + 0.5, 0.0) * scale).astype(np.float32)
+    return (np.where(rgbe[..., 3:] > 0, rgbe[..., :3], 0.0) * scale).astype(np.float32)

@@ -20,6 +20,7 @@ from ..parts import (
     Film,
     Instance,
     Mesh,
+    MeshAttribute,
     Null,
     Rectangle,
     SceneError,
@@ -202,4 +203,6 @@ def closed_outwards(mesh: Mesh) -> bool:
 
 
 def _shines(radiance: Any) -> bool:
+    if isinstance(radiance, MeshAttribute):  # which only a mesh knows
+        return radiance.scale > 0
     return bool(np.any((radiance.mean() if isinstance(radiance, Texture) else radiance) > 0))

@@ -23,12 +23,14 @@ from .web import PhotometricWeb
 
 @dataclasses.dataclass
 class Integrator:
-    """What a scene file asks of the method: depth as Mitsuba counts it (1: emission only; -1: no end)."""
+    """What a scene file asks of the method: depth as Mitsuba counts it (1: emission only; -1: no end), samples a pixel,
+    and of what pixels see first, as `render` takes it."""
 
     max_depth: int = -1
     rr_depth: int = 5
     hide_emitters: bool = False
     spp: int = 16
+    aovs: tuple[str, ...] = ()
 
     def __post_init__(self):
         check(self.max_depth >= -1, "integrator.max_depth", f"is {self.max_depth}; give -1 or more")

@@ -14,20 +14,28 @@ from .shapes import Disk, Rectangle, Shape, Sphere
 _KINDS = ("perspective", "thinlens", "orthographic", "radiancemeter", "irradiancemeter", "distant", "batch")
 
 
+FILM_FILTERS = ("box", "tent", "gaussian", "mitchell", "catmullrom", "lanczos")
+
+
 @dataclasses.dataclass
 class Film:
-    """width x height pixels; `filter` is box, tent or gaussian; `radius` in pixels, `stddev` for gaussian.
+    """width x height pixels; `filter` is box, tent, gaussian, mitchell, catmullrom or lanczos; `radius` in pixels,
+    `stddev` for gaussian, `bc` for mitchell.
 
+    `border`: samples lie beyond the picture's edge where the filter reaches there; else it is cut off.
     `crop`: the picture is the part of a larger film that starts so many pixels (x, y) from its upper left corner, and
-    that film's width and height.
+    that film's width and height. `grey`: the picture is luminance alone.
     """
 
     width: int = 768
     height: int = 576
-    filter: Literal["box", "tent", "gaussian"] = "gaussian"
+    filter: Literal["box", "tent", "gaussian", "mitchell", "catmullrom", "lanczos"] = "gaussian"
     radius: float | None = None
     stddev: float = 0.5
+    bc: tuple[float, float] = (1 / 3, 1 / 3)
+    border: bool = False
     crop: tuple[int, int, int, int] | None = None
+    grey: bool = False
 
     def __post_init__(self):
         for key in ("width", "height"):
@@ -38,12 +46,24 @@ class Film:
             x, y, w, h = self.crop
             inside = 0 <= x and x + self.width <= w and 0 <= y and y + self.height <= h
             check(inside, "film.crop", f"goes beyond the film of {w} x {h} pixels; make it smaller or move it")
-        known = self.filter in ("box", "tent", "gaussian")
-        check(known, "film.filter", f"{self.filter!r} is not box, tent or gaussian")
+        radii = {
+            "box": 0.5,
+            "tent": 1.0,
+            "gaussian": 4 * self.stddev,
+            "mitchell": 2.0,
+            "catmullrom": 2.0,
+            "lanczos": 3.0,
+        }
+        check(self.filter in radii, "film.filter", f"{self.filter!r} is not one of {', '.join(radii)}")
         check(np.isfinite(self.stddev) and self.stddev > 0, "film.stddev", f"is {self.stddev}; give a positive number")
         if self.radius is None:
-            self.radius = {"box": 0.5, "tent": 1.0, "gaussian": 4 * self.stddev}[self.filter]
+            self.radius = radii[self.filter]
         check(np.isfinite(self.radius) and self.radius > 0, "film.radius", f"is {self.radius}; give a positive number")
+        cubic = self.filter in ("mitchell", "catmullrom")
+        check(not cubic or self.radius == 2, "film.radius", f"is {self.radius}; leave it out, for a cubic's is 2")
+        whole = self.radius == int(self.radius)
+        check(self.filter != "lanczos" or whole, "film.radius", f"is {self.radius}; give whole lobes")
+        check(all(abs(k) <= 1 for k in self.bc), "film.bc", f"is {self.bc}; give two numbers from -1 to 1")
 
 
 @dataclasses.dataclass

@@ -12,7 +12,7 @@ from .checks import LARGEST, SceneError, check, spectrum, varying
 TEXTURES = ("bitmap", "checkerboard", "attribute", "product")
 """Kinds of textures, in the order of their numbers in tables; number 0 stands for none."""
 
-LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
+LUMINANCE = np.array([0.212671, 0.71516, 0.072169])
 """Of linear Rec. 709: what a colour is where a texture of it stands for one number."""
 
 FILTERS, WRAPS = ("nearest", "bilinear"), ("repeat", "mirror", "clamp")

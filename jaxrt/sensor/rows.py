@@ -10,6 +10,7 @@ import numpy as np
 
 from ..parts import Diffuse, SceneError, Sensor, Shape
 from ..scene import CAMERAS, SensorStructure
+from .film import Filter
 
 _LENS = {"fov": "fov", "near_clip": "near", "far_clip": "far", "aperture_radius": "aperture_radius"}
 _LENS |= {"focus_distance": "focus_distance"}
@@ -37,12 +38,14 @@ class Rows:
         film = s.film
         x, y, w, h = film.crop or (0, 0, film.width, film.height)
         window = (x + s.principal_point[0] * w, y + s.principal_point[1] * h, float(w), float(h))
-        made = (film.width, film.height, film.filter, float(film.radius or 0.5), float(film.stddev))
+        bc = (float(film.bc[0]), float(film.bc[1]))
+        shape = Filter(film.filter, float(film.radius or 0.5), float(film.stddev), bc, bool(film.border))
+        made = (film.width, film.height, *shape)
         if s.kind == "batch":
             each = film.width // len(s.sensors)
             parts = tuple(self._structure(part).sized(each, film.height) for part in s.sensors)
             self.name = name
-            return SensorStructure(s.kind, "", made, window, parts=parts)
+            return SensorStructure(s.kind, "", made, window, parts=parts, grey=film.grey)
         self.name, row = name, len(self.to_world)
         if s.kind != "irradiancemeter":
             self.names.add(f"{name}.to_world", "sensor_to_world", row)
@@ -51,7 +54,8 @@ class Rows:
         self.to_world.append(s.to_world)
         self.lens.append(tuple(getattr(s, field) for field in _LENS.values()))
         axis = s.fov_axis if s.kind in CAMERAS else ""
-        return SensorStructure(s.kind, axis, made, window, row, self._area(s.target, f"{name}.target"))
+        area = self._area(s.target, f"{name}.target")
+        return SensorStructure(s.kind, axis, made, window, row, area, grey=film.grey)
 
     def _area(self, target: Any, name: str) -> tuple[str, str, int, int] | None:
         """Where the faces are that a sensor measures over: in the scene, or in a table of targets."""

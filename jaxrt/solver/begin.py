@@ -37,6 +37,10 @@ class Begin(eqx.Module):
         none = Vec3(*(0.0 * c for c in d))
         return none, none
 
+    def weight(self, world: World, number: Any, s: Stream) -> Any:
+        """What the radiance of a path counts, which a filter may make negative; None for 1."""
+        return None
+
     def meter(self, world: World, number: Any, s: Stream) -> tuple[Vec3, Vec3, Any] | None:
         """The point that takes in all light above it, the normal there, and what it is worth, where that is so."""
         return None
@@ -52,9 +56,16 @@ class Picture(Begin):
 
     def position(self, world: World, number: Any, s: Stream | Drawn) -> tuple[Any, Any]:
         """Where on the film, in pixels."""
+        return world.settle(film.sample(self.sensor.film, self._pixel(world, number), s.pair_at(0)))
+
+    def _pixel(self, world: World, number: Any) -> film.Pixel:
         column, row = (k.astype(world.faces.dtype) for k in (number % self.width, number // self.width % self.height))
-        pixel = film.pixel(self.sensor.film, column, row, self.width, self.height)
-        return world.settle(film.sample(self.sensor.film, pixel, s.pair_at(0)))
+        return film.pixel(self.sensor.film, column, row, self.width, self.height)
+
+    def weight(self, world: World, number: Any, s: Stream | Drawn) -> Any:
+        if not film.Filter(*self.sensor.film[2:]).signed:
+            return None
+        return film.weight(self.sensor.film, self._pixel(world, number), self.position(world, number, s))
 
     def __call__(self, world: World, number: Any, s: Stream | Drawn) -> PathState:
         return self.through(world, self.position(world, number, s), s)

@@ -228,12 +228,16 @@ def _links_fixed(
     return _scaled(world, elements, numbers, direct, turned(target), weight, edges)
 
 
-@eqx.filter_custom_jvp
 def link_rows(world: World, elements: Elements, seed: Any, rows: Any, count: int, follow: bool, lengths: int) -> Links:
     """Links of the elements in each row of numbers (R, n), one row after another; `count` from each element.
 
     `follow`: whether some landings are not on elements and are to be followed.
     """
+    return _link_rows(world, elements, seed, rows, count, follow, lengths)  # which has no name to be kept under
+
+
+@eqx.filter_custom_jvp
+def _link_rows(world: World, elements: Elements, seed: Any, rows: Any, count: int, follow: bool, lengths: int) -> Links:
     one = lambda world, elements, seed, row: _links(world, elements, seed, row, count, follow, lengths)
     return over_devices(one, rows, _met(world, elements), elements, seed)
 
@@ -245,7 +249,7 @@ def _met(world: World, elements: Elements) -> World:
     return replace(world, plan=replace(world.plan, light_kinds=(), solid_angle=False))
 
 
-@link_rows.def_jvp
+@_link_rows.def_jvp
 def _link_rows_jvp(primals: Any, tangents: Any) -> Any:
     world, elements, seed, rows, count, follow, lengths = primals
 

@@ -206,6 +206,8 @@ def measure(
         raise SceneError(f"radiance: the field is of max_depth {has}, the picture of {asked}; give one for both")
     field = None if radiance is None else radiance.stored
     image = _pixels(scene, plan, view, key, depths, field, n=n, spp=spp, max_depth=depths.max_depth, boundary=boundary)
+    tones = scene.structure.sensors[sensor].tones(image.shape[-1])
+    image = image if tones is None else image @ jnp.asarray(tones, image.dtype)
     return image.reshape(height, width, -1)
 
 

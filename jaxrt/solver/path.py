@@ -240,6 +240,9 @@ class Watched(eqx.Module):
     def before(self, *args: Any) -> tuple[Vec3, Vec3]:
         return self.begin.before(*args)
 
+    def weight(self, *args: Any) -> Any:
+        return self.begin.weight(*args)
+
     def __call__(self, world: World, number: Any, s: Stream) -> PathState:
         path = self.begin(world, number, s)
         return replace(path, scattered=jnp.zeros_like(path.alive))
@@ -330,6 +333,9 @@ def _ready(world: World, begin: Any, seed: Any, numbers: Any, lane: Lane, first:
     place = lane.pixel * sets + set_of(lane.sample, field)
     ended = ~path.alive & (lane.pixel < len(numbers))
     ended, radiance = world.settle((ended, path.radiance))
+    number = _number(numbers, lane)
+    weight = begin.weight(world, number, sample_stream(seed, number, lane.sample, field))
+    radiance = radiance if weight is None else radiance * weight
     sums = tuple(
         total.map(lambda a, b, k=k: a + jnp.where(ended & (place == k), b, 0.0), radiance)
         for k, total in enumerate(lane.sums)
@@ -361,7 +367,9 @@ def trace_fixed(
                 return bounce(world, depths, path, turn), None
 
             path = _attached(world, begin, number, s)
-            return jax.lax.scan(body, path, None, length=max(steps, 1))[0].radiance.array()
+            radiance = jax.lax.scan(body, path, None, length=max(steps, 1))[0].radiance.array()
+            weight = begin.weight(world, number, s)
+            return radiance if weight is None else radiance * weight
 
         return jax.vmap(one)(numbers)
 

@@ -118,7 +118,7 @@ def render(  # pyright: ignore[reportInconsistentOverload]  # options are those 
     plan: Plan | None = None,
     chunk: int | None = None,
     memory: float | None = None,
-    aov: Sequence[str] = (),
+    aov: Sequence[str] | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> Solution | list[Solution]:
     """A picture with its standard error; of several sensors a list of them, which look into one field.
@@ -128,8 +128,9 @@ def render(  # pyright: ignore[reportInconsistentOverload]  # options are those 
     `plan`: by default specialised on all values of the scene. `chunk`: pixels in flight a core, by default what is
     fastest; the same seed, plan and chunk give the same bits, another chunk the same within rounding. `memory`: bytes
     that picture and pixels in flight may take, by default a quarter of the machine's. `aov`: what `Solution.aovs`
-    is to hold of the first surface that each pixel sees: depth, normal, albedo, uv, position, face. `progress`:
-    called with the share done. Raises `SceneError` for wrong arguments.
+    is to hold of the first surface that each pixel sees: depth, normal, geo_normal, albedo, uv, position, face, each
+    also under another name as "name:depth"; by default what the scene file asks. `progress`: called with the share
+    done. Raises `SceneError` for wrong arguments.
     """
     if method not in ("auto", "path", "field"):
         raise SceneError(f"method: {method!r} is not known; give auto, path or field")
@@ -140,7 +141,7 @@ def render(  # pyright: ignore[reportInconsistentOverload]  # options are those 
     spp = int(spp)
     sensors = [sensor] if isinstance(sensor, (int, np.integer)) else list(sensor)
     views, depths = [_view(scene, k) for k in sensors], depths_of(scene, max_depth, rr_depth)
-    names = checked(aov, views)
+    names = checked(scene.structure.asked().aovs if aov is None else aov, views)
     plan = _specialised(scene) if plan is None else fitting(scene, plan)[1]
     threads = cores()
     memory = machine_memory() / 4 if memory is None else memory
@@ -162,7 +163,8 @@ def render(  # pyright: ignore[reportInconsistentOverload]  # options are those 
         found = []
         for k, (view, n) in enumerate(zip(views, lanes, strict=True)):
             part = progress and (lambda done, k=k: progress((k + done) / len(views)))
-            found.append(_picture(world, view, depths, key, spp, n, field, pool, part))
+            tones = scene.structure.sensors[sensors[k]].tones(plan.channels)
+            found.append(_picture(world, view, tones, depths, key, spp, n, field, pool, part))
             found[-1].aovs = aovs(world, view, key, spp, names, pool)
             now, made = time.perf_counter(), seconds_spent() - spent
             run = now - began - made - seconds_solve
@@ -185,8 +187,8 @@ def render(  # pyright: ignore[reportInconsistentOverload]  # options are those 
 
 
 def _picture(
-    world: World, view: Picture, depths: path.Depths, key: Any, spp: int, lanes: int, field: Any,
-    pool: ThreadPoolExecutor, progress: Callable[[float], None] | None,
+    world: World, view: Picture, tones: np.ndarray | None, depths: path.Depths, key: Any, spp: int, lanes: int,
+    field: Any, pool: ThreadPoolExecutor, progress: Callable[[float], None] | None,
 ) -> Solution:  # fmt: skip
     """The picture of one view, block by block of pixels on the threads of `pool`."""
     plan, threads = world.plan, cores()
@@ -221,8 +223,9 @@ def _picture(
     passes = [(a, min(a + PASS, spp)) for a in range(0, spp, PASS)]
     sets = path.SETS if field is None else path.HALVES
     counts = np.bincount(path.set_of(np.arange(spp), field), minlength=sets)
-    image, variance = (np.empty((n, plan.channels), np.float32) for _ in range(2))
-    sums_again = np.empty((sets, len(again), plan.channels))
+    channels, wide = (plan.channels, plan.out_channels) if tones is None else (1, 1)
+    image, variance = (np.empty((n, channels), np.float32) for _ in range(2))
+    sums_again = np.empty((sets, len(again), channels))
     rays = np.zeros(blocks, np.int64)
     done = itertools.count(1)
     stop_asked = threading.Event()
@@ -238,6 +241,7 @@ def _picture(
             counted = np.int32(stop - row), np.int32(first), np.int32(last)
             values, cast = run(*args, lanes_of_block, *counted, field)
             values = np.asarray(values)[: stop - row].transpose(3, 0, 2, 1, 4).reshape(sets, len(numbers), -1)[:, :used]
+            values = values if tones is None else values @ tones
             sums = values if len(passes) == 1 else sums + values.astype(np.float64)
             cast = np.asarray(cast, np.int64).reshape(-1)
             rays[block] += int(cast[:used].sum() if pixels == 1 else cast.sum() * used // ((stop - row) * size))
@@ -254,10 +258,10 @@ def _picture(
     except BaseException:
         stop_asked.set()  # an interrupt waits for one pass, not for the picture
         raise
-    sums_again = sums_again.reshape(sets, TAKES, len(edges), plan.channels).sum(1)
+    sums_again = sums_again.reshape(sets, TAKES, len(edges), channels).sum(1)
     image[edges], variance[edges] = mean_and_variance(sums_again, counts * TAKES)
 
-    shape = (height, width, plan.out_channels)
+    shape = (height, width, wide)
     image, variance = (a.reshape(height, width, -1) for a in (image, variance))
     known = np.count_nonzero(counts) > 1  # one sample alone says nothing of its error
     error = predicted_error(image, variance) if known else float("nan")
@@ -272,5 +276,5 @@ def _picture(
         "threads": threads,
         "nonfinite": int((~np.isfinite(image)).sum()),
     }
-    wide = lambda a: a if a.shape == shape else np.repeat(a, shape[2], 2)
-    return Solution(wide(image), wide(stderr), stats, error)
+    full = lambda a: a if a.shape == shape else np.repeat(a, shape[2], 2)
+    return Solution(full(image), full(stderr), stats, error)

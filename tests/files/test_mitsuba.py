@@ -389,7 +389,7 @@ def test_bytes_that_are_no_text(tmp_path):
             "is seen by the light tracing of ptracer",
         ),
         ('<emitter type="constant"/><emitter type="constant"/>', "second environment"),
-        ('<integrator type="volpath"/>', "is not supported"),
+        ('<integrator type="depth"/>', "give --aov depth"),
         ('<integrator type="path"/><integrator type="path"/>', "second integrator"),
         ('<integrator type="moment"/>', "has 0 integrators"),
         ('<integrator type="moment"><integrator type="moment"/></integrator>', "is not supported"),
@@ -572,6 +572,8 @@ def test_transforms_that_do_not_work(refused, body, problem):
         ('<spectrum name="reflectance" value="0.7"/>', [0.7]),
         ('<spectrum name="reflectance" value="400:.1,700:.8"/>', [0.662438, 0.433495, 0.19472]),
         ('<spectrum name="reflectance" type="uniform"><float name="value" value=".3"/></spectrum>', [0.3]),
+        ('<spectrum name="reflectance" type="srgb"><rgb name="color" value=".3,.1,.2"/></spectrum>', [0.3, 0.1, 0.2]),
+        ('<spectrum name="reflectance" type="rawconstant"><float name="value" value=".3"/></spectrum>', [0.3]),
     ],
 )
 def test_reflectance_in_all_forms(load, given, expected):
@@ -990,6 +992,9 @@ def test_several_sensors_and_their_samples(load):
         ('<rfilter type="tent"><float name="radius" value="2"/></rfilter>', ("tent", 2)),
         ('<rfilter type="gaussian"/>', ("gaussian", 2)),
         ('<rfilter type="gaussian"><float name="stddev" value="1"/></rfilter>', ("gaussian", 4)),
+        ('<rfilter type="mitchell"/>', ("mitchell", 2)),
+        ('<rfilter type="catmullrom"/>', ("catmullrom", 2)),
+        ('<rfilter type="lanczos"><integer name="lobes" value="2"/></rfilter>', ("lanczos", 2)),
     ],
 )
 def test_film_filters(load, given, expected):
@@ -1049,7 +1054,10 @@ def test_sensors_that_do_not_work(refused, body, problem):
         ('<integer name="crop_offset_y" value="-1"/>', "goes beyond the film"),
         ('<integer name="width" value="0"/>', "film.width: is 0"),
         ('<float name="width" value="10"/>', "write it as <integer>"),
-        ('<rfilter type="mitchell"/>', "use box, tent or gaussian"),
+        ('<string name="pixel_format" value="cmyk"/>', "'cmyk' is not known; give one of luminance"),
+        ('<rfilter type="sinc"/>', "use box, tent, gaussian, mitchell"),
+        ('<rfilter type="lanczos"><integer name="lobes" value="0"/></rfilter>', "give a positive"),
+        ('<rfilter type="mitchell"><float name="B" value="7"/></rfilter>', "two numbers from -1 to 1"),
         ('<rfilter type="tent"><float name="radius" value="0"/></rfilter>', "give a positive"),
         ('<rfilter type="gaussian"><float name="stddev" value="0"/></rfilter>', "give a positive"),
     ],
@@ -1092,6 +1100,9 @@ def test_fov_and_focal_length_together(refused):
     assert "give only one" in refused(f'<sensor type="perspective">{given}</sensor>')
 
 
+AOV = '<integrator type="aov"><string name="aovs" value="d:depth"/><integrator type="prb"/></integrator>'
+
+
 @pytest.mark.parametrize(
     "body, expected",
     [
@@ -1101,6 +1112,8 @@ def test_fov_and_focal_length_together(refused):
         ('<integrator type="direct"/>', (2, 5, False)),
         ('<integrator type="direct"><boolean name="hide_emitters" value="true"/></integrator>', (2, 5, True)),
         ('<integrator type="moment"><integrator type="prb"/></integrator>', (6, 5, False)),
+        (f'<integrator type="moment">{AOV}</integrator>', (6, 5, False)),
+        ('<integrator type="volpathmis"/>', (-1, 5, False)),
         ('<integrator type="path"><integer name="max_depth" value="3"/></integrator>', (3, 5, False)),
         ('<integrator type="ptracer"><integer name="rr_depth" value="9"/></integrator>', (-1, 9, False)),
     ],
@@ -1110,9 +1123,24 @@ def test_integrators(load, body, expected):
     assert (made.max_depth, made.rr_depth, made.hide_emitters) == expected
 
 
+def test_aovs_of_an_integrator(load):
+    aovs = '<string name="aovs" value="d.y:depth, n:sh_normal,s:dp_du"/>'
+    scene = load(f'<integrator type="aov">{aovs}<integrator type="path"/></integrator>')
+    assert scene.integrator.aovs == ("d.y:depth", "n:normal")
+    assert len(scene.notes) == 1 and "s:dp_du is left out" in scene.notes[0]
+
+
+def test_luminance_alone_is_asked_by_the_film(load):
+    film = '<sensor type="perspective"><film type="hdrfilm"><string name="pixel_format" value="{}"/></film></sensor>'
+    assert load(film.format("luminance")).sensors[0].film.grey and not load(film.format("rgba")).sensors[0].film.grey
+    assert "xyz is written as rgb" in load(film.format("xyz")).notes[0]
+
+
 def test_samples_of_direct_light_are_noted(load):
     notes = load('<integrator type="direct"><integer name="emitter_samples" value="4"/></integrator>').notes
-    assert len(notes) == 1 and "has no effect" in notes[0]
+    assert len(notes) == 1 and "each sample combines" in notes[0]
+    notes = load('<integrator type="direct"><integer name="bsdf_samples" value="0"/></integrator>').notes
+    assert len(notes) == 1 and "what only such samples find is in the picture" in notes[0]
 
 
 # ---------------------------------------------------------------------------------------- damaged files

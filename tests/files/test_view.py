@@ -231,3 +231,10 @@ def test_lamps_without_extent_are_light():
         found = view.complete(Description(shapes, lamps=[lamp]), light=True)
         assert any("no light" in note for note in found.notes) == dark
         assert list(found.lamps) == [lamp]
+
+
+def test_attributes_of_meshes_are_light():
+    for scale, dark in ((1.0, False), (0.0, True)):
+        shape = parts.Rectangle(emission=parts.MeshAttribute("vertex_glow", scale))
+        found = view.complete(Description([shape]), light=True)
+        assert any("no light" in note for note in found.notes) == dark

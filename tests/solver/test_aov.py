@@ -94,10 +94,34 @@ def test_the_command_line(tmp_path, monkeypatch, capsys):
     file.write_text('<scene version="3.0.0"><shape type="sphere"/><sensor type="perspective"/></scene>')
     run = ["render", str(file), "--size", "4x4", "--spp", "1", "-o", str(out), "--aov"]
     assert cli.main([*run, "depth,colour"]) == 2
-    assert "aov: 'colour' is not known; there are depth, normal, albedo" in capsys.readouterr().err
+    assert "aov: 'colour' is not known; there are depth, normal, geo_normal" in capsys.readouterr().err
     assert not out.exists()
     assert cli.main([*run, "depth,normal"]) == 0
     assert read_exr(out)[0].shape == (4, 4, 3)
+
+
+def test_what_a_scene_file_asks(tmp_path):
+    """AOVs under its names, as Mitsuba has them, and a picture of luminance alone."""
+    OpenEXR = pytest.importorskip("OpenEXR")
+    file = tmp_path / "s.xml"
+    aovs = '<string name="aovs" value="d.y:depth,n:sh_normal"/><integrator type="path"/>'
+    film = '<film type="hdrfilm"><rfilter type="box"/>{}<integer name="width" value="4"/><integer name="height" value="4"/></film>'
+    body = '<shape type="sphere"><transform name="to_world"><translate z="5"/></transform></shape>'
+    body += '<emitter type="constant"><rgb name="radiance" value="1,2,4"/></emitter>'
+    text = f'<scene version="3.0.0"><integrator type="aov">{aovs}</integrator>{body}<sensor type="perspective">{film}</sensor></scene>'
+    file.write_text(text.format(""))
+    colours = jaxrt.render(jaxrt.load(file), 4, method="path")
+    file.write_text(text.format('<string name="pixel_format" value="luminance"/>'))
+    scene = jaxrt.load(file)
+    grey = jaxrt.render(scene, 4, method="path")
+    assert grey.image.shape == grey.stderr.shape == (4, 4, 1)
+    weights = [0.212671, 0.71516, 0.072169]
+    np.testing.assert_allclose(grey.image[..., 0], colours.image @ weights, rtol=1e-5)
+    assert jaxrt.measure(scene, 0, spp=1).shape == (4, 4, 1)
+    assert set(grey.aovs) == {"d.y:depth", "n:normal"} and jaxrt.render(scene, 4, aov=()).aovs == {}
+    grey.save(tmp_path / "a.exr")
+    with OpenEXR.File(str(tmp_path / "a.exr"), separate_channels=True) as found:
+        assert {"R", "stderr.G", "d.y.T", "n.X", "n.Y", "n.Z"} <= found.channels().keys()
 
 
 def test_albedo_and_coordinates_of_textures(short_loops):
