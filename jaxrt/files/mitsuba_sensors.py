@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from .. import parts
+from ..parts.sensors import FILM_FILTERS
 from .mitsuba_context import Context
 from .mitsuba_shapes import shape
 from .mitsuba_xml import Element
