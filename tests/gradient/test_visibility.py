@@ -46,7 +46,7 @@ def meter():
 
     def irradiance(values):
         e, z = values
-        screen = jnp.asarray(half_plane(0.0)) + BORDER * e
+        screen = jnp.asarray(half_plane(0.0)) + jnp.asarray(BORDER) * e
         at = jnp.zeros((32, 3)).at[:, 2].set(z)
         moved = jaxrt.with_params(scene, {"screen.vertices": screen})
         return jaxrt.irradiance(moved, at, jnp.array([0, 0, 1.0]), spp=4096, max_depth=1, plan=scene.plan)[:, 0]
@@ -75,7 +75,7 @@ def test_the_shadow_of_a_half_plane_by_quadrature():
             v = (jnp.arange(n) + 0.5) / n
 
             def term(e, z, scene=scene, v=v):
-                screen = jnp.asarray(half_plane(0.0)) + BORDER * e
+                screen = jnp.asarray(half_plane(0.0)) + jnp.asarray(BORDER) * e
                 moved_scene = jaxrt.with_params(in_working_precision(scene), {"screen.vertices": screen})
                 world = prepare(moved_scene, jaxrt.plan(scene))
                 zero = jax.lax.stop_gradient(z) * 0.0
