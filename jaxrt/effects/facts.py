@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from ..brdf import MAPPED, MaterialColumns
-from ..parts.textures import TEXTURES
+from ..brdf import LOBES, MAPPED, NODES, MaterialColumns
+from ..parts.textures import FILTERS, TEXTURES
 from ..scene import KINDS, Scene
 from ..texture import inner_numbers
 from .static import Assumption
@@ -142,6 +142,35 @@ class Facts:
     def light_kinds(self) -> tuple[str, ...]:
         """Kinds of the faces that emit."""
         return tuple(KINDS[k] for k in np.unique(np.searchsorted(np.cumsum(self.scene.blocks), self.lights, "right")))
+
+    @property
+    def nearest(self) -> bool:
+        """Whether a bitmap is looked up without interpolation."""
+        bitmaps = self.layout[1:][self.layout[1:, 0] == TEXTURES.index("bitmap")]
+        return bool((bitmaps[:, 4] == FILTERS.index("nearest")).any())
+
+    @property
+    def bent_mirrors(self) -> bool:
+        """Whether a material with a delta part is on a curved face or one that shades so, or has its normals turned."""
+        numbers = [lobe.number for lobe in LOBES.values() if lobe.delta]
+        deltas = {r for r, n in zip(self.material_rows, self.numbers.tolist(), strict=True) if n in numbers}
+        made = self._rows_of(deltas)
+        scene = self.scene
+        of_shape = np.asarray(scene.finishes)[np.asarray(scene.shape_finish), 0]
+        face_shape, flat = np.asarray(scene.face_shape), sum(scene.blocks[:3])
+        curved: set[int] = set(face_shape[flat:].tolist()) if self.counts[3:].any() else set()
+        smooth = np.abs(np.asarray(scene.normals)[np.asarray(scene.triangles)]).any((1, 2))
+        curved |= set(face_shape[: len(smooth)][smooth].tolist())
+        tilted = bool(deltas) and any(NODES[k] in self.numbers for k in ("normalmap", "bumpmap"))
+        return tilted or any(int(of_shape[k]) in made for k in curved)
+
+    def _rows_of(self, rows: set[int]) -> set[int]:
+        """Rows of materials, and of those that are made of them."""
+        parts = [self.columns[k][0] for k in ("first", "second")]
+        for _ in range(self.depth):
+            nodes = [r for r in self.material_rows if self.materials[r, self.columns["lobe"][0]] > 99.5]
+            rows = rows | {r for r in nodes if set(self.materials[r, parts].astype(int)) & rows}
+        return rows
 
     @property
     def curved(self) -> bool:

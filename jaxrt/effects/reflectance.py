@@ -39,7 +39,8 @@ def _texture(kind: str) -> Effect:
     def sets(facts: Facts, chosen: Chosen) -> dict:
         fields, lit, _ = facts.textured(kind)
         maps = {f"map:{f}" for f in fields} if fields or lit else {"map:reflectance"}
-        return {"textures": (kind,), "coordinates": True, "textured_lights": lit, "maps": maps}
+        stepped = kind == "checkerboard" or (kind == "bitmap" and facts.nearest)
+        return {"textures": (kind,), "coordinates": True, "textured_lights": lit, "maps": maps, "stepped": stepped}
 
     needs = ("texture:",) if kind == "product" else ()  # of other textures
     return Effect(f"texture:{kind}", find, sets, needs, cut=True)
@@ -85,6 +86,17 @@ def _node(name: str) -> Effect:
 
     needs = ("texture:",) if name in ("normalmap", "bumpmap") else ()
     return Effect(name, _of_number(NODES[name]), sets, needs=needs, cut=True)
+
+
+def _mirrors(facts: Facts, chosen: Chosen) -> Found:
+    deltas = np.isin(facts.numbers, [lobe.number for lobe in LOBES.values() if lobe.delta])
+    on = bool(deltas.any())
+    return Found(on, named(facts.of_materials(deltas), "material") if on else "no material")
+
+
+def _set_mirrors(facts: Facts, chosen: Chosen) -> dict:
+    through = np.isin(facts.numbers, [lobe.number for lobe in LOBES.values() if lobe.delta and lobe.transmits])
+    return {"mirrors": True, "bent": bool(through.any()) or facts.bent_mirrors}
 
 
 def _sides(facts: Facts) -> np.ndarray:
@@ -134,6 +146,7 @@ EFFECTS = (
     *(_texture(kind) for kind in TEXTURES),
     Effect("nested", _nested, lambda facts, chosen: {"nested": facts.nested}, able=lambda facts, chosen: False),
     *(_lobe(name) for name in LOBES),
+    Effect("mirrors", _mirrors, _set_mirrors, fixed="belongs to the materials; build them as others", changes=False),
     Effect("twosided", _twosided, _set_twosided),
     Effect("anisotropic", _anisotropic, lambda facts, chosen: {"tangents": True, "coordinates": facts.curved}),
     *(_node(name) for name in NODES),

@@ -40,6 +40,7 @@ class Plan:
     bumps: bool = False  # and ∂p/∂v
     coordinates: bool = False  # on surfaces, for textures and for tangents of curved ones
     textures: tuple[str, ...] = ()  # kinds of them
+    stepped: bool = False  # whether one of them jumps from value to value
     nested: int = 0  # how many checkerboards one of them stands in, at most
     nodes: tuple[str, ...] = ()  # kinds of materials made of others
     depth: int = 0  # how many of those stand inside one another, at most
@@ -55,6 +56,8 @@ class Plan:
     environment: tuple[int, int] | None = None  # width and height of the enclosure's texture, if sampled as a light
     bounces: bool = False
     hide_emitters: bool = False
+    mirrors: bool = False  # whether a material reflects as a mirror or lets light through unscattered
+    bent: bool = False  # and is on a curved face, or lets light through
     instances: bool = False
     backend: str = "dense"
     out_channels: int = 1

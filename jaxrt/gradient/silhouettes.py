@@ -130,7 +130,7 @@ def picture(world: World, edges: Edges, view: Any, depths: path.Depths, seed: An
     straight, curved = len(edges.ends) > 0, central and sum(edges.blocks[2:]) > 0
     mirrors = central and edges.mirrors is not None
     n_ways = straight + curved + mirrors
-    on_film, still_eye = OnFilm.of(still, edges), Vec3(*(still.to_world[k, 3] for k in range(3)))
+    on_film, still_eye = OnFilm.of(still, edges) if straight else None, Vec3(*(still.to_world[k, 3] for k in range(3)))
     to_local, middle = jnp.linalg.inv(view.to_world), still.lens * jnp.array([1.0, 0.0, 1.0, 1.0, 1.0])
     seed, reach = combine(seed, 0xED6E), int(np.ceil(filter_[3] + 0.5))
 
@@ -139,7 +139,7 @@ def picture(world: World, edges: Edges, view: Any, depths: path.Depths, seed: An
         lens = s.pair_at(1) if camera.uses_lens(still.sensor) else None
         ways = s.child(2).pair_at(0)[0] * n_ways
         found: list[tuple[Any, Any, Any, Any]] = []
-        if straight:
+        if on_film is not None:
             found.append((*on_film.choose(s.child(1).pair_at(0)[0]), still_eye))
         eye = camera.ray(still.sensor, still.to_world, middle, still.window, (0.0, 0.0), lens)[0]
         if curved:

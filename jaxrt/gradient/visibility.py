@@ -263,9 +263,9 @@ def shadows(world: World, edges: Edges, seen: Seen, value: Any, s: Stream) -> Sp
     chosen = choose(fixed, edges, x, n, s, (normalise(to), sine * 1.0005 + 1e-6), creases=False)
     j, r = chosen.edge, chosen.r
     free = jnp.where(dot(chosen.pole, chosen.beside - x) > 0, -1.0, 1.0)
-    o, w, face = _look(fixed, seen, chosen, free)
+    both = jax.vmap(lambda side: _look(fixed, seen, chosen, side))(jnp.stack([free, -free]))
+    (o, w, face), (_, _, hider) = (jax.tree.map(lambda a, k=k: a[k], both) for k in (0, 1))
     z = surface_point(fixed, face, o, w)
-    _, _, hider = _look(fixed, seen, chosen, -free)
     asked = z.light_density > 0
     if bounds.shape[0] > 1:
         asked &= face == fixed.light_rows[k, 14 + plan.channels].astype(jnp.int32)

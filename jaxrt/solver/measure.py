@@ -15,7 +15,7 @@ from jaxtyping import Array, Float
 
 from ..compiler import over_devices
 from ..effects import Plan, fitting
-from ..gradient import silhouettes, visibility
+from ..gradient import refused, silhouettes, visibility
 from ..gradient.edges import edges_of
 from ..parts import SceneError
 from ..sampling.sobol import seed_of
@@ -94,11 +94,20 @@ def _compensated(step: Any, start: Any, count: int) -> Any:
 
 @eqx.filter_custom_jvp
 def _means(
-    world: World, begin: Any, depths: path.Depths, seed: Any, field: Any, edges: Any, numbers: Any, spp: int, steps: int
+    world: World,
+    begin: Any,
+    depths: path.Depths,
+    seed: Any,
+    field: Any,
+    edges: Any,
+    placed: Any,
+    numbers: Any,
+    spp: int,
+    steps: int,
 ) -> Any:
     """Means of lanes (chunks, lanes) -> (chunks, lanes, C), by the loop without reverse mode.
 
-    `edges`: those of M, for derivatives by what moves.
+    `edges`: those of M, for derivatives by what moves; `placed`: lamps without extent and places of instances.
     """
 
     def chunk(world: World, begin: Any, depths: path.Depths, seed: Any, field: Any, row: Any) -> Any:
@@ -114,7 +123,7 @@ def _means(
 
 @_means.def_jvp
 def _means_jvp(primals: Any, tangents: Any) -> Any:
-    world, begin, depths, seed, field, edges, numbers, spp, steps = primals
+    world, begin, depths, seed, field, edges, _, numbers, spp, steps = primals
     steps = FOLLOWED if field is not None and not 0 <= steps <= FOLLOWED else steps
     if steps < 0:
         raise ValueError("measure: derivatives need a finite number of bounces; give max_depth= (1 is emission only)")
@@ -125,7 +134,10 @@ def _means_jvp(primals: Any, tangents: Any) -> Any:
     def chunk(world: World, begin: Any, depths: path.Depths, seed: Any, field: Any, row: Any) -> Any:
         return path.trace_fixed(world, begin, steps, depths, seed, row, spp, field)
 
-    moves = tangents[0].geometry is not None or bool(jax.tree.leaves(tangents[1]))
+    moves = any(a is not None for a in (tangents[0].geometry, *tangents[6])) or bool(jax.tree.leaves(tangents[1]))
+    if edges is not None and moves:
+        kind = begin.sensor.kind if isinstance(begin, Picture) else ""
+        refused.check(world.plan, kind, steps > 1 or begin.searches, *(a is not None for a in tangents[6]))
 
     def around(world: World, edges: Any, begin: Any, depths: path.Depths, seed: Any, row: Any) -> Any:
         return visibility.surfaces(world, edges, begin, steps, depths, seed, row, spp)
@@ -164,7 +176,9 @@ def _pixels(
     numbers = _chunks(jnp.arange(n, dtype=jnp.int32), lanes_of(plan))
     steps = max_depth + 2 * plan.hide_emitters if max_depth > 0 else max_depth  # to pass both sides of a lamp
     edges = edges_of(scene, world) if boundary else None
-    values = _means(world, begin, depths, seed_of(key), field, edges, numbers, spp, steps)
+    values = _means(
+        world, begin, depths, seed_of(key), field, edges, (scene.lamps, scene.instances), numbers, spp, steps
+    )
     return jnp.broadcast_to(values.reshape(-1, plan.channels)[:n], (n, plan.out_channels))
 
 
@@ -193,8 +207,9 @@ def measure(
     derivatives refuse); the scene's own by default. `radiance`: a `Field` in which paths end, from `jaxrt.solve` to
     the same depth; derivatives then are those of both. Radiance in W·m⁻²·sr⁻¹, averaged over each pixel's filter.
 
-    Derivatives hold samples fixed (design: interior terms). They are right where no visibility edge moves;
-    second derivatives where no geometry moves at all.
+    Derivatives hold samples fixed, and where surfaces or the camera move they hold how that changes what is seen
+    (`jaxrt.gradient`; without `boundary`, they do not). What these terms do not know is refused with a `SceneError`.
+    Second derivatives hold where no geometry moves at all.
     """
     scene, plan = _checked(scene, plan, spp)
     view = view_of(scene, sensor)

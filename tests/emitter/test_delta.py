@@ -49,17 +49,19 @@ def test_many_are_chosen_among():
 
 
 def test_a_lamp_that_moves():
-    """dE/dz of I z/(z² + a²)^(3/2)."""
+    """dE/dz of I z/(z² + a²)^(3/2), where nothing hides it; how borders of its shadows move is not known."""
     scene = jaxrt.Scene.build([FLOOR], lamps=[jaxrt.Point((0, 0, 3), 7.0, "lamp")])
 
-    def seen(z):
+    def seen(z, boundary=False):
         lamp = jaxrt.with_params(scene, {"lamp.position": jnp.array([0.0, 0.0, 1.0]) * z})
-        return jaxrt.irradiance(lamp, X, UP, jax.random.key(0), spp=4, max_depth=2)[0]
+        return jaxrt.irradiance(lamp, X, UP, jax.random.key(0), spp=4, max_depth=2, boundary=boundary)[0]
 
     value, slope = jax.jit(jax.value_and_grad(seen))(3.0)
     a2, z = 5.0, 3.0 - 0.01
     assert float(value) == pytest.approx(7 * z / (z * z + a2) ** 1.5, rel=1e-4)
     assert float(slope) == pytest.approx(7 * (a2 - 2 * z * z) / (z * z + a2) ** 2.5, rel=1e-3)
+    with pytest.raises(jaxrt.SceneError, match=r"shadows of lamps without extent .point."):
+        jax.grad(lambda z: seen(z, True))(3.0)
 
 
 def test_directions_may_have_any_length():

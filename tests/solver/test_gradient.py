@@ -14,6 +14,7 @@ import jaxrt
 pytestmark = pytest.mark.usefixtures("short_loops")
 
 KEYS = 8
+INTERIOR = {"rr_depth": 1000, "boundary": False}  # how what is seen changes has tests of its own
 
 
 def batches(seed=0, n=KEYS):
@@ -29,7 +30,7 @@ def total(image):
 @functools.partial(jax.jit, static_argnames=("plan", "spp", "max_depth"))
 def _value(values, scene, keys, plan, spp, max_depth):
     f = lambda key: total(
-        jaxrt.measure(jaxrt.with_params(scene, values), key, plan=plan, spp=spp, max_depth=max_depth, rr_depth=1000)
+        jaxrt.measure(jaxrt.with_params(scene, values), key, plan=plan, spp=spp, max_depth=max_depth, **INTERIOR)
     )
     return jax.vmap(f)(keys)
 
@@ -38,7 +39,7 @@ def _value(values, scene, keys, plan, spp, max_depth):
 def _slope(values, scene, keys, plan, spp, max_depth):
     """Reverse mode: for each key, the value and its gradient."""
     f = lambda values, key: total(
-        jaxrt.measure(jaxrt.with_params(scene, values), key, plan=plan, spp=spp, max_depth=max_depth, rr_depth=1000)
+        jaxrt.measure(jaxrt.with_params(scene, values), key, plan=plan, spp=spp, max_depth=max_depth, **INTERIOR)
     )
     return jax.vmap(jax.value_and_grad(f), (None, 0))(values, keys)
 
@@ -47,7 +48,7 @@ def _slope(values, scene, keys, plan, spp, max_depth):
 def _along(values, tangents, scene, keys, plan, spp, max_depth):
     """Forward mode: for each key, the value and its derivative along `tangents`."""
     f = lambda values, key: total(
-        jaxrt.measure(jaxrt.with_params(scene, values), key, plan=plan, spp=spp, max_depth=max_depth, rr_depth=1000)
+        jaxrt.measure(jaxrt.with_params(scene, values), key, plan=plan, spp=spp, max_depth=max_depth, **INTERIOR)
     )
     return jax.vmap(lambda key: jax.jvp(lambda v: f(v, key), (values,), (tangents,)))(keys)
 
@@ -411,7 +412,9 @@ def test_every_derivative_of_everything_is_finite():
 
     @jax.jit
     def gradient(scene):
-        return eqx.filter_grad(lambda s: jnp.sum(jaxrt.measure(s, 0, plan=plan, spp=16, max_depth=5)))(scene)
+        return eqx.filter_grad(lambda s: jnp.sum(jaxrt.measure(s, 0, plan=plan, spp=16, max_depth=5, boundary=False)))(
+            scene
+        )
 
     out = gradient(scene)
     names = ["vertices", "normals", "patches", "to_world", "materials", "radiance", "sensor_to_world", "lens"]
