@@ -153,14 +153,14 @@ class Facts:
     def bent_mirrors(self) -> bool:
         """Whether a material with a delta part is on a curved face or one that shades so, or has its normals turned."""
         numbers = [lobe.number for lobe in LOBES.values() if lobe.delta]
-        deltas = {r for r, n in zip(self.material_rows, self.numbers.tolist(), strict=True) if n in numbers}
+        deltas: set[int] = {r for r, n in zip(self.material_rows, self.numbers.tolist(), strict=True) if n in numbers}
         made = self._rows_of(deltas)
         scene = self.scene
         of_shape = np.asarray(scene.finishes)[np.asarray(scene.shape_finish), 0]
         face_shape, flat = np.asarray(scene.face_shape), sum(scene.blocks[:3])
         curved: set[int] = set(face_shape[flat:].tolist()) if self.counts[3:].any() else set()
-        smooth = np.abs(np.asarray(scene.normals)[np.asarray(scene.triangles)]).any((1, 2))
-        curved |= set(face_shape[: len(smooth)][smooth].tolist())
+        smooth = np.flatnonzero(np.abs(np.asarray(scene.normals)[np.asarray(scene.triangles)]).any(axis=(1, 2)))
+        curved |= set(face_shape[smooth].tolist())
         tilted = bool(deltas) and any(NODES[k] in self.numbers for k in ("normalmap", "bumpmap"))
         return tilted or any(int(of_shape[k]) in made for k in curved)
 
