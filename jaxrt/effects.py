@@ -207,7 +207,7 @@ def plan(scene: Scene, free: str | Iterable[str] | None = (), *, backend: str | 
     bounces = any(view.field(f).any() for f in ALBEDOS) or not (view.fixed("materials") and view.fixed("texels"))
     if not bounces:
         view.assumes.append(("*.*reflectance, *.*transmittance", "each stays 0"))
-    smooth = bool(np.abs(view.normals).any())
+    smooth = bool(np.abs(view.normals).any() or np.asarray(scene.grids)[:, 4].any())
     enclosure = 1 not in dark
     chosen: dict[str, Any] = {
         "smooth_normals": smooth,
@@ -260,7 +260,11 @@ def plan(scene: Scene, free: str | Iterable[str] | None = (), *, backend: str | 
         *((k, present, say(present, "a material is made so", "no such material")) for k, present in made.items()),
         *((f"texture:{k}", k in textures, _carriers(k, layout, mapped, view, inner)) for k in TEXTURES),
         ("nested", nested > 0, say(nested > 0, "checkerboards of textures", "no checkerboard has textures")),
-        ("smooth_normals", chosen["smooth_normals"], say(smooth, "a mesh has vertex normals", "all faces are flat")),
+        (
+            "smooth_normals",
+            chosen["smooth_normals"],
+            say(smooth, "a mesh or grid has them", "all normals are of faces"),
+        ),
         ("area_light", chosen["area_light"], f"{n_lights} emitting faces"),
         *((k, k in lamps_in, "lamps without extent" if k in lamp_kinds else "no such lamp") for k in LAMPS),
         ("light_sampling", sampled, say(sampled, "rays towards lamps", "lamps are met by reflection alone")),
