@@ -20,7 +20,7 @@ from ..gradient import silhouettes, visibility
 from ..gradient.edges import edges_of
 from ..parts import SceneError
 from ..sampling.sobol import seed_of
-from ..scene import Scene, in_working_precision
+from ..scene import KINDS, Scene, in_working_precision
 from ..world import World, prepare
 from . import path
 from .begin import Meters, Picture, Rays, View, picture_of
@@ -164,7 +164,8 @@ def _pixels(
     world = prepare(scene, plan)
     numbers = _chunks(jnp.arange(n, dtype=jnp.int32), lanes_of(plan))
     steps = max_depth + 2 * plan.hide_emitters if max_depth > 0 else max_depth  # to pass both sides of a lamp
-    edges = edges_of(scene, world) if boundary else None
+    lines = sum(scene.blocks[: KINDS.index("sdfgrid")]) > 0  # of grids of distances no outlines are known
+    edges = edges_of(scene, world) if boundary and lines else None
     values = _means(world, begin, depths, seed_of(key), field, edges, numbers, spp, steps)
     return jnp.broadcast_to(values.reshape(-1, plan.channels)[:n], (n, plan.out_channels))
 
