@@ -158,6 +158,8 @@ def _boxes(scene: Scene, geometry: Any) -> tuple[Any, Any]:
     """Low and high corners of the box of every face, (P, 3) each."""
     boxes = []
     for kind, n in zip(KINDS, scene.blocks, strict=True):
+        if n == 0:
+            continue
         o, a, b = (geometry[scene.offset(kind) : scene.offset(kind) + n, k : k + 3] for k in (0, 3, 6))
         far = {"triangle": [o + a, o + b], "parallelogram": [o + a, o + b, o + a + b], "cylinder": [o + a]}
         if kind == "sdfgrid":
