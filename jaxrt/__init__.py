@@ -61,6 +61,7 @@ if TYPE_CHECKING:
         Projector,
         Rectangle,
         SceneError,
+        SdfGrid,
         Sensor,
         Sphere,
         Spot,
@@ -85,7 +86,8 @@ _HOMES = {
     "operators": "D G K T add adjoint compose emission estimate inner neumann norm psi sub",
     "parts": "Bitmap Blend BumpMap Checkerboard Conductor Cube Cylinder Dielectric Diffuse Directional Disk"
     " Enclosure Film Goniometric Group Instance Integrator Mask Mesh MeshAttribute NormalMap Null PhotometricWeb"
-    " Plastic Point Principled PrincipledThin Product Projector Rectangle SceneError Sensor Sphere Spot TwoSided",
+    " Plastic Point Principled PrincipledThin Product Projector Rectangle SceneError SdfGrid Sensor Sphere Spot"
+    " TwoSided",
     "rules": "BrdfRule LightRule MisRule QuadratureRule",
     "sampling.sobol": "Stream",
     "scene": "Scene params with_params",
@@ -154,6 +156,7 @@ __all__ = [
     "Rectangle",
     "Scene",
     "SceneError",
+    "SdfGrid",
     "Sensor",
     "Solution",
     "Spectrum",

@@ -28,6 +28,7 @@ from .parts import (
     Point,
     Rectangle,
     SceneError,
+    SdfGrid,
     Sensor,
     Shape,
     Sphere,
@@ -47,7 +48,7 @@ _CUBE = [  # the first edge of each side runs as Mitsuba's u, the second against
     [1, 1, -1, -2, 0, 0, 0, 0, 2],
     [1, -1, -1, 0, 0, 2, -2, 0, 0],
 ]
-_DISK = [[0, 0, 0, 1, 0, 0, 0, 1, 0]]
+_DISK = _GRID = [[0, 0, 0, 1, 0, 0, 0, 1, 0]]
 
 
 def bucket(n: int) -> int:
@@ -77,6 +78,8 @@ def _patches(shape: Shape) -> tuple[str, np.ndarray]:
         return "sphere", np.array([[*shape.center, shape.radius, 0, 0, 0, 0, 0]], float)
     if isinstance(shape, Cylinder):
         return "cylinder", np.array([[*shape.p0, *shape.p1, shape.radius, 0, 0]], float)
+    if isinstance(shape, SdfGrid):
+        return "sdfgrid", np.array(_GRID, float)
     raise SceneError(f"{shape.id or shape}: is not a shape that jaxrt knows")
 
 
@@ -148,6 +151,7 @@ def build(
         names.add(f"{around_name}.radiance", "radiance", 1)
     by_kind: dict[str, list[tuple[int, np.ndarray]]] = {k: [] for k in KINDS}
     vertices, normals, uvs, vertex_of, first = [], [], [], [], 0
+    distances, grids = [], []
     finishes: list[tuple[int, int]] = [(0, 1)]  # row 0: the enclosure, black and luminous
     shape_finish = []
     for k, shape in enumerate(shapes):
@@ -186,6 +190,11 @@ def build(
         else:
             kind, rows = _patches(shape)
             by_kind[kind].append((k, rows))
+        if isinstance(shape, SdfGrid):
+            start, shown = sum(map(len, distances)), shape.grid.shape
+            grids.append([start, *shown[::-1], shape.smooth_normals])
+            distances.append(shape.grid.ravel())
+            names.add(f"{ids[k]}.grid", "distances", (start, start + shape.grid.size), shape=shown)
         names.add(f"{ids[k]}.to_world", "to_world", k)
 
     lamp_rows, lamp_radiance = [lamp.row() for lamp in lamps], []
@@ -270,6 +279,8 @@ def build(
         texels=f(join(textures.texels, c), (c,), bucket(sum(map(len, textures.texels)))),
         textures=i(np.array(textures.layout), bucket(len(textures.layout))),
         to_uv=f(textures.to_uv, (6,), bucket(len(textures.layout))),
+        distances=f(np.concatenate([np.zeros(0), *distances]), (), bucket(sum(map(len, distances)))),
+        grids=i(np.array(grids, int).reshape(-1, 5), blocks[5]),
         instances=f([s.to_world for s in instances] or np.zeros((0, 4, 4)), (4, 4), bucket(len(instances)), np.eye(4)),
         instance_group=i(group_of, bucket(len(instances)), -1),
         groups=i(np.array(groups, int).reshape(-1, 2), bucket(len(groups)), (sum(blocks), 0)),

@@ -1,7 +1,7 @@
 """Coordinates (u, v) on surfaces, as Mitsuba has them, and the tangents ∂p/∂u and ∂p/∂v.
 
 Flat faces have them by corners. Disks have radius and angle, spheres the angles φ and θ, cylinders φ and height; angles
-count from 0 to 1.
+count from 0 to 1. Grids of distances have (0, 0) everywhere, and no tangents.
 """
 
 from __future__ import annotations
@@ -89,6 +89,8 @@ def place(world: Any, row: Any, number: Any, on_face: tuple[Any, Any], out: Vec3
             continue
         if kind == "disk":
             one = safe_sqrt(s * s + t * t), _turn(t, s)
+        elif kind == "sdfgrid":
+            one = 0.0 * s, 0.0 * t
         else:
             across = normalise(Vec3(*(row[FACE["v"] + k] for k in range(3))))
             first, second = Vec3(*cells[:3]), Vec3(*cells[3:])
@@ -116,6 +118,8 @@ def curved_tangents(
             r = safe_sqrt(on_face[0] * on_face[0] + on_face[1] * on_face[1])
             radial = p * (1.0 / jnp.where(r > 0, r, 1.0))
             one = radial, cross(out, p) * (2.0 * np.pi)
+        elif kind == "sdfgrid":
+            one = out * 0.0, out * 0.0
         elif kind == "sphere":
             x, y, z = dot(p, first), dot(p, across), dot(p, second)
             rho = safe_sqrt(x * x + y * y)

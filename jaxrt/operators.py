@@ -199,6 +199,8 @@ def inner(scene: Scene | World, a: Any, b: Any, key: Any = 0, n: int = 4096) -> 
     world = world_of(scene)
     if world.instances is not None:
         raise ValueError("inner: surfaces of instances are not supported; write them out as meshes")
+    if world.grids is not None:
+        raise ValueError("inner: surfaces of grids of distances are not supported; make meshes of them")
     seed = seed_of(key)
 
     def one(i: Any) -> Any:

@@ -25,7 +25,7 @@ from .parts import LUMINANCE, Film, Integrator, SceneError
 if TYPE_CHECKING:
     from .effects import Plan
 
-KINDS = ("triangle", "parallelogram", "disk", "sphere", "cylinder")
+KINDS = ("triangle", "parallelogram", "disk", "sphere", "cylinder", "sdfgrid")
 """Kinds of faces, in the order in which faces are numbered. A face is a surface that a ray meets in one piece."""
 
 
@@ -127,9 +127,9 @@ class Scene(eqx.Module):
     normals: Float[Array, "V 3"]  # zero where a mesh has flat faces
     uvs: Float[Array, "V 2"]
     triangles: Int32[Array, "F 3"]
-    patches: Float[Array, "K 9"]  # parallelograms, disks, spheres, cylinders in their shapes' own space
+    patches: Float[Array, "K 9"]  # all other kinds of faces, in their shapes' own space
     face_shape: Int32[Array, " P"]
-    counts: Int32[Array, " 5"]  # faces of each kind; the rest of each block is padding
+    counts: Int32[Array, " 6"]  # faces of each kind; the rest of each block is padding
     to_world: Float[Array, "S 4 4"]
     flip: Float[Array, " S"]  # -1 where the front side is turned
     shape_finish: Int32[Array, " S"]
@@ -140,6 +140,8 @@ class Scene(eqx.Module):
     texels: Float[Array, "T channels"]  # values of all textures
     textures: Int32[Array, "X 6"]  # see `texture.LAYOUT`; row 0 is none
     to_uv: Float[Array, "X 6"]
+    distances: Float[Array, " D"]  # samples of all grids of signed distances, in their own space, x fastest
+    grids: Int32[Array, "G 5"]  # see `grids.Grids.layout`
     instances: Float[Array, "I 4 4"]  # places of groups in the world
     instance_group: Int32[Array, " I"]  # -1 for padding
     groups: Int32[Array, "G 2"]  # first triangle and how many; they follow those that `counts` counts

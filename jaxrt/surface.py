@@ -11,6 +11,7 @@ import jax.numpy as jnp
 
 from . import coordinates, nodes
 from .brdf import LOBES, Material, MaterialColumns
+from .intersect.grids import meet
 from .scene import FACE, KINDS
 from .texture import Place, _row
 from .vector import Frame, Spectrum, Vec3, cross, dot, normalise, safe_sqrt, where
@@ -110,6 +111,15 @@ def surface_point(world: World, face: Any, o: Vec3, d: Vec3) -> SurfacePoint:
             height = jnp.where(here, dot(pc - middle, axis) / dot(axis, axis), 0.0)
         t, u, v = (jnp.where(here, a, b) for a, b in ((tc, t), (0.0, u), (0.0, v)))
         normal, p = where(here, nc * side, normal), where(here, pc, p)
+    grid, smooth_grid = False, normal
+    if world.grids is not None:
+        grid = number >= first("sdfgrid")
+        k = jnp.where(grid, number - first("sdfgrid"), 0)
+        bound = jnp.where(grid, -0.5 * world.epsilon, jnp.inf)  # nothing is searched for other rows
+        tc = meet(world.grids, k, at, d, bound)[1]
+        tc, pc, nc, sc = world.grids.land(k, at, d, jnp.where(grid, tc, 0.0), plan.smooth_normals)
+        t, u, v = (jnp.where(grid, a, b) for a, b in ((tc, t), (0.0, u), (0.0, v)))
+        normal, smooth_grid, p = where(grid, nc * side, normal), sc * side, where(grid, pc, p)
     p = where(miss, at + d * (4.0 * world.radius + 1.0), p)
     normal = where(miss, -d, normal)
     u, v = jnp.where(miss, 0.0, u), jnp.where(miss, 0.0, v)
@@ -120,10 +130,13 @@ def surface_point(world: World, face: Any, o: Vec3, d: Vec3) -> SurfacePoint:
         smooth = move(n0 * (1.0 - u - v) + n1 * u + n2 * v, 0.0)[0] * side
         given = (dot(smooth, smooth) > 1e-12) & ~miss
         shading, extra = normalise(where(given, smooth, normal)), extra + 9
+    if world.grids is not None:
+        shading = where(grid, smooth_grid, shading)
     if plan.tangents:
         tangent, bitangent = _tangents(world, row, number, p, (u, v), out, turn, extra)
         given = (dot(tangent, tangent) > 0) & ~miss
-        frame = Frame.around(normal)  # as Mitsuba, and not about the shading normal
+        # as Mitsuba, and not about the shading normal but for grids
+        frame = Frame.around(normal if world.grids is None else where(grid, shading, normal))
         tangent = where(given, tangent, frame.s)
         bitangent = where(given, bitangent, frame.t) if plan.bumps else None
     place = coordinates.place(world, row, number, (u, v), out, height) if plan.coordinates else None
@@ -184,7 +197,7 @@ class Shading(eqx.Module):
     side: Any
     material: Material
     wo: Vec3
-    even: Any = True  # whether the material is the same all over the face
+    even: Any = True  # whether the material is the same all over the face, and the face one that has coordinates
     found: nodes.Found | None = None  # where the plan has materials made of others
 
     def to_local(self, w: Vec3) -> Vec3:
@@ -239,6 +252,8 @@ def shading_at(world: World, x: SurfacePoint, wo: Vec3, u: Any = None, moving: b
     else:
         side = jnp.ones_like(wo.x)
     at = Shading(frame, side, material, wo, even if found is None else even & found.single, found)
+    if world.grids is not None:  # whose surface has no elements
+        at = dataclasses.replace(at, even=at.even & (x.face < world.first("sdfgrid")))
     return dataclasses.replace(at, wo=at.to_local(wo))
 
 

@@ -20,6 +20,7 @@ from .brdf import SPECTRA, MaterialColumns, derive
 from .compiler import program, remembered
 from .effects import Plan, fitting, without
 from .environment import Environment
+from .grids import Grids
 from .instances import Instances
 from .intersect import Faces, Search, affine, build_search
 from .parts import LAMPS
@@ -34,7 +35,8 @@ class World(eqx.Module):
     """Tables of one scene in world space.
 
     `geometry` rows: origin, edge e₁, edge e₂, meaning by kind: corner and sides of a triangle or parallelogram;
-    centre and radii of a disk; centre and radii of a sphere; foot, axis and radius of a cylinder.
+    centre and radii of a disk; centre and radii of a sphere; foot, axis and radius of a cylinder; corner and two sides
+    of the cube of a grid of distances.
     `faces` rows, gathered at each hit (`FACE` names the columns), about `center`: the affine maps of a flat
     face to its height and coordinates, or centre and radius of a curved one; side, finish, light density
     (1/m²); and as the plan calls for, three vertex normals, tangents, and coordinates for textures. The last
@@ -55,6 +57,7 @@ class World(eqx.Module):
     epsilon: Float[Array, ""]  # how far rounding may move a surface point, m
     present: Bool[Array, ""]  # true, in a way that the compiler cannot know
     instances: Instances | None
+    grids: Grids | None
     textures: Textures | None
     environment: Environment | None
     plan: Plan = eqx.field(static=True)
@@ -133,8 +136,15 @@ def safe_norm(a: Any) -> Any:
     return jnp.where(n > 0, jnp.sqrt(jnp.where(n > 0, n, 1.0)), 0.0)
 
 
-AREA = {"triangle": 0.5, "parallelogram": 1.0, "disk": np.pi, "sphere": 4 * np.pi, "cylinder": 2 * np.pi}
-"""The area of a face of each kind, in units of |e₁ × e₂|."""
+AREA = {
+    "triangle": 0.5,
+    "parallelogram": 1.0,
+    "disk": np.pi,
+    "sphere": 4 * np.pi,
+    "cylinder": 2 * np.pi,
+    "sdfgrid": 0.0,
+}
+"""The area of a face of each kind, in units of |e₁ × e₂|; that of a grid of distances is not known."""
 
 
 def face_areas(geometry: Any, blocks: tuple[int, ...]) -> Any:
@@ -147,8 +157,13 @@ def _boxes(scene: Scene, geometry: Any) -> tuple[Any, Any]:
     """Low and high corners of the box of every face, (P, 3) each."""
     boxes = []
     for kind, n in zip(KINDS, scene.blocks, strict=True):
+        if n == 0:
+            continue
         o, a, b = (geometry[scene.offset(kind) : scene.offset(kind) + n, k : k + 3] for k in (0, 3, 6))
         far = {"triangle": [o + a, o + b], "parallelogram": [o + a, o + b, o + a + b], "cylinder": [o + a]}
+        if kind == "sdfgrid":
+            c = scene.to_world[scene.face_shape[scene.offset(kind) :], :3, 2]
+            far[kind] = [o + a, o + b, o + c, o + a + b, o + a + c, o + b + c, o + a + b + c]
         corners, reach = jnp.stack([o, *far.get(kind, [])]), 0.0  # and how far the face reaches around each
         if kind == "disk":
             reach = jnp.sqrt(a * a + b * b)
@@ -259,7 +274,7 @@ def prepare(scene: Scene, plan: Plan) -> World:
         instances = instances.about(sg(center), middles)
     maps = affine(o, geometry[:, 3:6], geometry[:, 6:9])
     n, height, u, v = maps[:, :3] * side[:, None], maps[:, 3] * side, maps[:, 4:8], maps[:, 8:12]
-    if sum(scene.blocks[3:]):
+    if sum(scene.blocks[3:5]):
         number = jnp.arange(scene.faces)
         ball, tube = number >= scene.offset("sphere"), number >= scene.offset("cylinder")
         radius_of = safe_norm(jnp.where(tube[:, None], geometry[:, 6:9], geometry[:, 3:6]))
@@ -303,8 +318,9 @@ def prepare(scene: Scene, plan: Plan) -> World:
         dark = jnp.zeros((len(materials), bright.shape[1]), finishes.dtype)
         finishes = jnp.concatenate([finishes, jnp.concatenate([materials, dark], -1)])
     epsilon = 8 * 2.0**-23 * jnp.maximum(sg(reach), sg(radius))
+    grids = Grids.of(scene, sg(center)) if "sdfgrid" in plan.kinds else None
     origins = jnp.concatenate([o, geometry[:, 3:]], -1)
-    faces = Faces(origins, maps, scene.counts, center, epsilon, scene.blocks, instances, scene.copies)
+    faces = Faces(origins, maps, scene.counts, center, epsilon, scene.blocks, instances, grids, scene.copies)
     search = build_search(sg(faces), plan)
     return World(
         geometry=geometry,
@@ -319,6 +335,7 @@ def prepare(scene: Scene, plan: Plan) -> World:
         epsilon=epsilon,
         present=scene.counts[0] >= 0,
         instances=instances,
+        grids=grids,
         environment=Environment.of(scene, plan.environment) if plan.environment else None,
         textures=Textures.of(scene, plan.channels, plan.textures, plan.nested) if plan.textures or plan.web else None,
         plan=plan,

@@ -57,6 +57,13 @@ def icosphere(level):
     return np.array(mesh.vertices), np.array(mesh.faces)
 
 
+def ball_of_distances(n, noise=0.0, radius=0.35):
+    """Distances (n, n, n) from a sphere in the middle of the unit cube, a little above the middle in z."""
+    z, y, x = np.meshgrid(*[np.linspace(0.0, 1.0, n)] * 3, indexing="ij")
+    off = noise * np.random.default_rng(0).normal(size=(n, n, n))
+    return np.sqrt((x - 0.5) ** 2 + (y - 0.5) ** 2 + (z - 0.55) ** 2) - radius + off
+
+
 def edges_of(faces):
     return np.unique(np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), 1), axis=0)
 

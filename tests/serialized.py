@@ -21,3 +21,10 @@ def written(meshes, version=4, double=False):
         at += len(parts[-1])
     table = struct.pack(f"<{len(offsets)}{'Q' if version == 4 else 'I'}", *offsets)
     return b"".join(parts) + table + struct.pack("<I", len(meshes))
+
+
+def volume(grid, version=3, kind=1):
+    """The bytes of a .vol file, of values (Z, Y, X) or (Z, Y, X, channels)."""
+    grid = np.asarray(grid, "<f4")
+    z, y, x, channels = (*grid.shape, 1)[:4]
+    return b"VOL" + struct.pack("<B5i6f", version, kind, x, y, z, channels, 0, 0, 0, 1, 1, 1) + grid.tobytes()

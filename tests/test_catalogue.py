@@ -2,7 +2,8 @@
 
 import numpy as np
 import pytest
-from helpers import assert_same_picture
+from helpers import assert_same_picture, ball_of_distances
+from serialized import volume
 
 import jaxrt
 
@@ -132,6 +133,19 @@ def test_emitters_that_only_light_tracing_sees(tmp_path):
     beam = '<emitter type="directionalarea"><rgb name="radiance" value="90,80,70"/></emitter>'
     shape = two(beam, f'<bsdf type="diffuse"/>{beam}')
     check(tmp_path, SCENE.format(depth=3, emitter=CONSTANT, shape=shape))
+
+
+def test_grids_of_distances(tmp_path):
+    """One turned and scaled unevenly, which Mitsuba draws as an instance only, and one of glass."""
+    (tmp_path / "ball.vol").write_bytes(volume(ball_of_distances(8, 0.02, 0.3)))
+    grid = """<shape type="sdfgrid"><string name="filename" value="ball.vol"/><transform name="to_world">
+    <translate x="-.5" y="-.5" z="-.5"/>{}</transform>{}</shape>"""
+    glass = '<bsdf type="dielectric"/><string name="normals" value="analytic"/>'
+    shape = f"""<shape type="shapegroup" id="ball">{grid.format("", '<bsdf type="diffuse"/>')}</shape>
+    <shape type="instance"><ref id="ball"/><transform name="to_world"><scale x="3.5" y="1.5" z="2"/>
+    <rotate x=".6" y=".8" angle="40"/><translate x="-.8"/></transform></shape>
+    {grid.format('<scale x="1.5" y="2" z="1.8"/><translate x="1.2" y="-.2" z="-.2"/>', glass)}"""
+    check(tmp_path, SCENE.format(depth=7, emitter=CONSTANT, shape=shape))
 
 
 def test_indices_of_refraction():

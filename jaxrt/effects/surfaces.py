@@ -27,10 +27,11 @@ def _instances(facts: Facts, chosen: Chosen) -> Found:
 
 
 def _smooth(facts: Facts, chosen: Chosen) -> Found:
-    normals = np.asarray(facts.scene.normals)
-    if not (np.abs(normals).any() or not facts.fixed("normals")):
+    normals, grids = np.asarray(facts.scene.normals), bool(np.asarray(facts.scene.grids)[:, 4].any())
+    if not (np.abs(normals).any() or grids or not facts.fixed("normals")):
         return Found(False, "all faces are flat")
     owners = [name.removesuffix(".normals") for name, slot in facts.structure.slots if slot.leaf == "normals"]
+    owners += ["grids"] * grids
     return Found(True, f"vertex normals of {named(owners, 'shape')}")
 
 

@@ -13,6 +13,7 @@ from .mitsuba_context import Context
 from .mitsuba_materials import area_emission, bsdf
 from .mitsuba_meshes import READERS, mesh
 from .mitsuba_xml import Element
+from .vol import read_vol
 
 
 def shape(ctx: Context, element: Element, place: str) -> parts.Shape | parts.Group | parts.Instance:
@@ -120,18 +121,31 @@ def _straightened(m: np.ndarray, p0: np.ndarray, p1: np.ndarray, radius: float) 
     return {"to_world": rigid, "p0": [0.0, 0.0, 0.0], "p1": [0.0, 0.0, stretch * length], "radius": radius * size}
 
 
+def _sdfgrid(ctx: Context, element: Element, fields: dict[str, Any]) -> dict[str, Any]:
+    normals = ctx.string(element, "normals", "smooth")
+    if normals not in ("smooth", "analytic"):
+        element.fail(f"normals: is {normals!r}; give smooth or analytic")
+    try:
+        grid = read_vol(ctx.file(element))
+        if grid.shape[-1] != 1:
+            raise parts.SceneError(f"has {grid.shape[-1]} channels; give a grid of one, the distance")
+    except parts.SceneError as problem:
+        element.fail(problem)
+    return {"grid": grid, "smooth_normals": normals == "smooth"}
+
+
 _SHAPES: dict[str, tuple[Any, Any]] = {
     "rectangle": (parts.Rectangle, _flat),
     "cube": (parts.Cube, _flat),
     "disk": (parts.Disk, None),
     "sphere": (parts.Sphere, _sphere),
     "cylinder": (parts.Cylinder, _cylinder),
+    "sdfgrid": (parts.SdfGrid, _sdfgrid),
     **dict.fromkeys(READERS, (parts.Mesh, mesh)),
 }
 
 _TUBES = "make a mesh of the curves, or cylinders and spheres"
 _INSTEAD = {
-    "sdfgrid": "extract its surface as a mesh (marching cubes), and take that as ply",
     "bsplinecurve": _TUBES,
     "linearcurve": _TUBES,
     "ellipsoids": "make a mesh of each ellipsoid",

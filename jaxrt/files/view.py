@@ -24,6 +24,7 @@ from ..parts import (
     Null,
     Rectangle,
     SceneError,
+    SdfGrid,
     Sensor,
     Shape,
     Sphere,
@@ -108,6 +109,8 @@ def world_points(shape: Shape) -> np.ndarray:
         local = shape.center + shape.radius * unit(-1, 1)
     elif isinstance(shape, Cylinder):
         local = np.concatenate([p + shape.radius * unit(-1, 1) for p in (shape.p0, shape.p1)])
+    elif isinstance(shape, SdfGrid):
+        local = 0.5 + 0.5 * unit(-1, 1)
     else:
         local = unit(0) if isinstance(shape, Rectangle | Disk) else unit(-1, 1)
     return local @ shape.to_world[:3, :3].T + shape.to_world[:3, 3]

@@ -46,6 +46,11 @@ class Edges(eqx.Module):
     mirrors: Float[Array, " P"] | None  # chance of each face, by area, to be the flat mirror in which edges are seen
     blocks: tuple[int, ...] = eqx.field(static=True)  # of faces, by kind: curved ones have outlines of their own
 
+    @property
+    def curved(self) -> bool:
+        """Whether there are curves; of grids of distances none are known."""
+        return len(curves.listed(self.blocks)[1]) > 0
+
     def faces_at(self, j: Any) -> tuple[Any, Any]:
         """The faces at edge j, or at the curve of number j − E."""
         row = self.faces.at[j].get(mode="clip") if len(self.faces) else jnp.zeros(2, jnp.int32)
@@ -72,7 +77,7 @@ class Edges(eqx.Module):
             uv = self.uv.at[j].get(mode="clip")
             on_face = uv[0] + (uv[2] - uv[0]) * t, uv[1] + (uv[3] - uv[1]) * t
             y = edge_point(world, self.faces.at[j].get(mode="clip")[0], on_face)
-        if sum(self.blocks[2:]) == 0:
+        if not self.curved:
             assert y is not None
             return y
         curved = self.curve(world, jnp.maximum(j - len(self.faces), 0), x, t)[0]

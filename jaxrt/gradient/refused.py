@@ -20,6 +20,8 @@ def check(plan: Any, view: str, deep: bool, lamps: bool, places: bool) -> None:
     elif deep and (plan.lamp_kinds or lamps):
         kinds = ", ".join(plan.lamp_kinds) or "lamps without extent"
         why = f"the sharp borders of shadows of lamps without extent ({kinds}); give them an area"
+    elif "sdfgrid" in plan.kinds:
+        why = "outlines of grids of distances; extract a mesh from the grid"
     elif plan.bent:
         why = "outlines seen in curved mirrors or through glass"
     elif plan.stepped and plan.coordinates:

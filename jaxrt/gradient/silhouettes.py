@@ -127,7 +127,7 @@ def picture(world: World, edges: Edges, view: Any, depths: path.Depths, seed: An
     outlines of curved faces, and both in mirrors, as far as there are such."""
     fixed, plan, still = sg(world), world.plan, sg(view)
     filter_, central = still.sensor.film, still.sensor.kind != "orthographic"
-    straight, curved = len(edges.ends) > 0, central and sum(edges.blocks[2:]) > 0
+    straight, curved = len(edges.ends) > 0, central and edges.curved
     mirrors = central and edges.mirrors is not None
     n_ways = straight + curved + mirrors
     on_film, still_eye = OnFilm.of(still, edges) if straight else None, Vec3(*(still.to_world[k, 3] for k in range(3)))

@@ -45,6 +45,7 @@ class WrittenOut(eqx.Module):
             center=faces.center,
             epsilon=faces.epsilon,
             blocks=(blocks[0] + copies, *blocks[1:]),
+            grids=faces.grids,
         )
         return cls(backend.build(within), triangles, numbers, blocks, copies)
 

@@ -15,8 +15,10 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int32
 
+from ..grids import Grids
 from ..vector import Vec3, cross, dot
 from .faces import Faces
+from .grids import meet
 
 FLAT = ("triangle", "parallelogram", "disk")
 UNROLL = 6  # measured best on both jax 0.10 and 0.12 between 4 and 12
@@ -26,7 +28,8 @@ class Dense(eqx.Module):
     flat: tuple[Float[Array, "n 13"], ...]  # triangles, parallelograms, disks: height, u, v maps and a tolerance
     spheres: Float[Array, "n 4"]
     cylinders: Float[Array, "n 8"]
-    counts: Int32[Array, " 5"]
+    counts: Int32[Array, " 6"]
+    grids: Grids | None
     center: Float[Array, " 3"]
     least: Float[Array, ""]
     blocks: tuple[int, ...] = eqx.field(static=True)
@@ -49,6 +52,7 @@ class Dense(eqx.Module):
             flat=tuple(flat),
             spheres=jnp.concatenate([o[ball], jnp.sum(a[ball] ** 2, -1, keepdims=True)], -1),
             cylinders=jnp.concatenate(tubes, -1),
+            grids=faces.grids,
             counts=faces.counts,
             center=faces.center,
             least=-0.5 * faces.epsilon,
@@ -96,7 +100,7 @@ class Dense(eqx.Module):
         """Folds `update(carry, face, inside, t)` over all faces."""
         tests = [*(_flat_test(kind, table) for kind, table in zip(FLAT, self.flat, strict=True))]
         tests += [_sphere_test(self.spheres), _cylinder_test(self.cylinders)]
-        for k, (test, size) in enumerate(zip(tests, self.blocks, strict=True)):
+        for k, (test, size) in enumerate(zip(tests, self.blocks[:5], strict=True)):
             if size == 0 or k < self.first_kind:
                 continue
             first, unroll = sum(self.blocks[:k]), min(UNROLL, size)
@@ -109,7 +113,13 @@ class Dense(eqx.Module):
                 return c
 
             carry = jax.lax.fori_loop(0, (self.counts[k] + unroll - 1) // unroll, body, carry)
-        return carry
+        return carry if self.grids is None else self._each_grid(self.grids, o, d, carry, update)
+
+    def _each_grid(self, grids: Grids, o: Vec3, d: Vec3, carry: Any, update: Callable[..., Any]) -> Any:
+        def body(k: Any, c: Any) -> Any:
+            return update(c, sum(self.blocks[:5]) + k, *meet(grids, k, o, d, self.least))
+
+        return jax.lax.fori_loop(0, self.counts[5], body, carry)
 
 
 def allowed(face: Any, exclude: Any) -> Any:

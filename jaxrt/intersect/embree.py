@@ -109,9 +109,9 @@ def start() -> None:
 def _probe(geometry: Any) -> Any:
     """What three rays meet of one triangle: its number twice, and nothing."""
     maps = affine(geometry[:, :3], geometry[:, 3:6], geometry[:, 6:9])
-    counts = jnp.asarray([1, 0, 0, 0, 0], jnp.int32)
+    counts = jnp.asarray([1, 0, 0, 0, 0, 0], jnp.int32)
     center, epsilon = jnp.zeros(3, jnp.float32), jnp.float32(1e-6)
-    search = Embree.build(Faces(geometry, maps, counts, center, epsilon, (1, 0, 0, 0, 0)))
+    search = Embree.build(Faces(geometry, maps, counts, center, epsilon, (1, 0, 0, 0, 0, 0)))
     o = Vec3(jnp.asarray([0.2, 0.7, 0.2], jnp.float32), jnp.full(3, 0.2), jnp.zeros(3))
     return jax.vmap(search.closest)(o, Vec3(jnp.zeros(3), jnp.zeros(3), jnp.asarray([1.0, 1.0, -1.0])))
 

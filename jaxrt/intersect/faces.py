@@ -5,6 +5,7 @@ from __future__ import annotations
 import equinox as eqx
 from jaxtyping import Array, Float, Int32
 
+from ..grids import Grids
 from ..instances import Instances
 
 
@@ -16,9 +17,10 @@ class Faces(eqx.Module):
 
     geometry: Float[Array, "P 9"]
     maps: Float[Array, "P 12"]  # `affine` maps of the flat ones
-    counts: Int32[Array, " 5"]
+    counts: Int32[Array, " 6"]
     center: Float[Array, " 3"]
     epsilon: Float[Array, ""]
     blocks: tuple[int, ...] = eqx.field(static=True)
     instances: Instances | None = None
+    grids: Grids | None = None
     copies: int = eqx.field(static=True, default=0)  # padded number of triangles that instances stand for

@@ -16,7 +16,7 @@ from .lamps import LAMPS, Directional, Enclosure, Goniometric, Lamp, Point, Proj
 from .principled import Principled, PrincipledThin
 from .reflectances import Bsdf, Conductor, Dielectric, Diffuse, Null, Plastic, Row, TwoSided
 from .sensors import Film, Sensor
-from .shapes import Cube, Cylinder, Disk, Group, Instance, Mesh, Rectangle, Shape, Sphere
+from .shapes import Cube, Cylinder, Disk, Group, Instance, Mesh, Rectangle, SdfGrid, Shape, Sphere
 from .textures import LUMINANCE, Bitmap, Checkerboard, MeshAttribute, Product, Texture
 from .web import PhotometricWeb
 
@@ -89,6 +89,7 @@ __all__ = [
     "Rectangle",
     "Row",
     "SceneError",
+    "SdfGrid",
     "Sensor",
     "Shape",
     "Sphere",

@@ -135,6 +135,40 @@ class Cylinder(Shape):
 
 
 @dataclasses.dataclass(kw_only=True)
+class SdfGrid(Shape):
+    """Where signed distances are 0: trilinear between samples (Z, Y, X) that fill the cube [0, 1]³, facing to where
+    they grow. `smooth_normals`: shading normals that are continuous across voxels, as Mitsuba's `smooth`. It may not
+    emit.
+    """
+
+    grid: Any
+    smooth_normals: bool = True
+
+    def __post_init__(self):
+        super().__post_init__()
+        name = self.id or "sdfgrid"
+        g = np.asarray(self.grid, np.float64)
+        g = g[..., 0] if g.ndim == 4 and g.shape[-1] == 1 else g
+        check(
+            g.ndim == 3 and min(g.shape, default=0) >= 2,
+            f"{name}.grid",
+            f"has shape {g.shape}; give (Z, Y, X), each 2 or more",
+        )
+        check(
+            bool((np.abs(g) <= LARGEST).all()),
+            f"{name}.grid",
+            f"has a sample that is not finite, or beyond {LARGEST:g}",
+        )
+        check(
+            bool((g < 0).any() and (g >= 0).any()),
+            f"{name}.grid",
+            "has samples of one sign only, so no surface; shift them",
+        )
+        check(self.emission is None, name, "emits, which a grid of distances cannot; take a mesh")
+        self.grid = g
+
+
+@dataclasses.dataclass(kw_only=True)
 class Group:
     """Shapes that instances place in the scene; by itself it is not in it. None may emit."""
 
@@ -159,7 +193,8 @@ class Group:
 class Instance:
     """A group placed in the scene by `to_world`; its triangles and their tables are stored once for all instances.
 
-    Where a group has disks, spheres or cylinders, its instances are written out: shapes of the scene by themselves.
+    Where a group has disks, spheres, cylinders or grids of distances, its instances are written out: shapes of the
+    scene by themselves.
     """
 
     group: Group

@@ -107,7 +107,8 @@ def _means(
 ) -> Any:
     """Means of lanes (chunks, lanes) -> (chunks, lanes, C), by the loop without reverse mode.
 
-    `edges`: those of M, for derivatives by what moves; `placed`: lamps without extent and places of instances.
+    `edges`: those of M, for derivatives by what moves; `placed`: lamps without extent, places of
+    instances, grids of distances.
     """
 
     def chunk(world: World, begin: Any, depths: path.Depths, seed: Any, field: Any, row: Any) -> Any:
@@ -137,7 +138,7 @@ def _means_jvp(primals: Any, tangents: Any) -> Any:
     moves = any(a is not None for a in (tangents[0].geometry, *tangents[6])) or bool(jax.tree.leaves(tangents[1]))
     if edges is not None and moves:
         kind = begin.sensor.kind if isinstance(begin, Picture) else ""
-        refused.check(world.plan, kind, steps > 1 or begin.searches, *(a is not None for a in tangents[6]))
+        refused.check(world.plan, kind, steps > 1 or begin.searches, *(a is not None for a in tangents[6][:2]))
 
     def around(world: World, edges: Any, begin: Any, depths: path.Depths, seed: Any, row: Any) -> Any:
         return visibility.surfaces(world, edges, begin, steps, depths, seed, row, spp)
@@ -177,7 +178,16 @@ def _pixels(
     steps = max_depth + 2 * plan.hide_emitters if max_depth > 0 else max_depth  # to pass both sides of a lamp
     edges = edges_of(scene, world) if boundary else None
     values = _means(
-        world, begin, depths, seed_of(key), field, edges, (scene.lamps, scene.instances), numbers, spp, steps
+        world,
+        begin,
+        depths,
+        seed_of(key),
+        field,
+        edges,
+        (scene.lamps, scene.instances, scene.distances),
+        numbers,
+        spp,
+        steps,
     )
     return jnp.broadcast_to(values.reshape(-1, plan.channels)[:n], (n, plan.out_channels))
 

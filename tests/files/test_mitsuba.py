@@ -4,13 +4,16 @@ import re
 
 import numpy as np
 import pytest
+from helpers import ball_of_distances
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from serialized import volume
 
 from jaxrt import parts
 from jaxrt.files import mitsuba
 from jaxrt.parts import SceneError
 
+ROUND = ball_of_distances(3)
 SPHERE = '<shape type="sphere"/>'
 TENT = "v 0 0 0\nv 1 0 0\nv 1 1 .5\nv 0 1 0\nv 2 0 1\n"
 
@@ -318,6 +321,28 @@ def test_file_that_is_not_there(tmp_path, name):
         mitsuba.load(tmp_path / name, {})
 
 
+@pytest.mark.parametrize(
+    ("data", "more", "problem"),
+    [
+        (b"", "", "is not a grid of values"),
+        (volume(ROUND)[:-4], "", "holds other than 3 x 3 x 3 values"),
+        (volume(ROUND, version=2), "", "is of version 2"),
+        (volume(ROUND, kind=2), "", "type 2; export it"),
+        (volume(np.stack([ROUND] * 2, -1)), "", "has 2 channels; give a grid of one"),
+        (volume(ROUND), '<string name="normals" value="flat"/>', "normals: is 'flat'; give smooth or analytic"),
+        (volume(ROUND), '<emitter type="area"/>', "emits, which a grid of distances cannot"),
+        (volume(ROUND + 9), "", "has samples of one sign only"),
+    ],
+)
+def test_grids_of_distances(tmp_path, data, more, problem):
+    (tmp_path / "a.vol").write_bytes(data)
+    path = tmp_path / "scene.xml"
+    shape = f'<shape type="sdfgrid"><string name="filename" value="a.vol"/>{more}</shape>'
+    path.write_text(f'<scene version="3.0.0">{shape}</scene>')
+    with pytest.raises(SceneError, match="sdfgrid.*" + problem):
+        mitsuba.load(path, {})
+
+
 def test_bytes_that_are_no_text(tmp_path):
     path = tmp_path / "scene.xml"
     path.write_bytes(bytes(range(256)))
@@ -335,7 +360,7 @@ def test_bytes_that_are_no_text(tmp_path):
         ('<shape type="instance"/>', "refers to no shapegroup"),
         ('<shape type="heightfield"/>', "is not supported; use rectangle"),
         ('<shape type="instance"><shape type="sphere"/></shape>', "refers to no shapegroup"),
-        ('<shape type="sdfgrid"/>', "is not supported; extract its surface as a mesh (marching cubes)"),
+        ('<shape type="sdfgrid"/>', "no such file"),
         ('<shape type="bsplinecurve"/>', "is not supported; make a mesh of the curves"),
         ('<shape type="linearcurve"/>', "is not supported; make a mesh of the curves"),
         ('<shape type="ellipsoids"/>', "is not supported; make a mesh of each ellipsoid"),

@@ -5,8 +5,8 @@ import itertools
 
 import numpy as np
 import pytest
-from helpers import hits
-from serialized import written
+from helpers import ball_of_distances, hits
+from serialized import volume, written
 
 import jaxrt
 
@@ -163,3 +163,24 @@ def test_instances(tmp_path, meshes, curved):
     moves = [m for m in MOVES.values() if not curved or m != MOVES["uneven"]]
     body += "".join(f'<shape type="instance"><ref id="toy"/>{moved(m, k)}</shape>' for k, m in enumerate(moves))
     compare(tmp_path, body, np.concatenate([places(6), places(6) + [0.4, 0.3, 0.2]]))
+
+
+def test_grids_of_distances(tmp_path):
+    """Mitsuba searches a turned or mirrored one only as an instance."""
+    grids = {"ball": ball_of_distances(9), "rough": ball_of_distances(8, 0.05)}
+    for name, grid in grids.items():
+        (tmp_path / f"{name}.vol").write_bytes(volume(grid))
+    kinds = [(name, normals) for name in grids for normals in ("smooth", "analytic")]
+    middle, scale = '<translate x="-.5" y="-.5" z="-.5"/>', '<scale x="1.6" y="1.2" z="2"/>'
+    shape = lambda name, normals, to_world: (
+        f'<shape type="sdfgrid">{file(name + ".vol")}<string name="normals" value="{normals}"/>{to_world}</shape>'
+    )
+    body = "".join(shape(*kind, moved(middle + scale, k)) for k, kind in enumerate(kinds))
+    inner = moved(middle).replace('<translate x="0" y="0"/>', "")
+    body += "".join(
+        f"""<shape type="shapegroup" id="g{k}">{shape(*kind, inner)}</shape><shape type="instance"><ref id="g{k}"/>
+        {moved(scale + '<scale x="-1"/><rotate x=".6" y=".8" angle="40"/>', k + 6)}</shape>"""
+        for k, kind in enumerate(kinds)
+    )
+    aim = places(10)[[0, 1, 2, 3, 6, 7, 8, 9]]
+    compare(tmp_path, body, aim)
