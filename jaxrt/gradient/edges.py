@@ -192,7 +192,7 @@ def _mirrors(scene: Scene, world: World) -> Any:
     numbers = jnp.array([brdf.LOBES[name].number for name in plan.lobes if brdf.LOBES[name].delta])
     real = jnp.concatenate([jnp.arange(n) < scene.counts[k] for k, n in enumerate(scene.blocks[:3])])
     area = jnp.sqrt((jnp.cross(geometry[:, 3:6], geometry[:, 6:9]) ** 2).sum(-1))
-    area = area * (real & (jnp.round(lobe)[:, None] == numbers).any(-1))
+    area = area * (real & jnp.isin(jnp.round(lobe).astype(int), numbers))
     return area / jnp.maximum(area.sum(), 1e-30)
 
 
