@@ -388,7 +388,9 @@ def surfaces(
             seen = replace(seen, normal=normal, lift=seen.lift * jnp.where(here, 0.0, 1.0))
             f = lambda w: where(here, white(normal, w), reflected(fixed, at, w))
         term = outlines(world, edges, depths, seen, f, s_k.child(23), which)
-        return (total + term.map(lambda c: jnp.where(found, c, 0.0))).array()
+        total = total + term.map(lambda c: jnp.where(found, c, 0.0))
+        counts = begin.weight(world, number, s)
+        return (total if counts is None else total * sg(counts)).array()
 
     @functools.partial(jax.checkpoint, prevent_cse=False)
     def one_pass(numbers: Any, sample: Any) -> Any:

@@ -23,6 +23,7 @@ from ..surface import SurfacePoint
 from ..vector import Spectrum, Vec3, where
 from ..world import World, prepare, prepared
 from . import path
+from .begin import Begin
 from .elements import Elements, element_of, sampled
 from .equilibrium import SOLVERS, residual_bound, series, solve_links, spectral_radius
 from .gather import Stored
@@ -331,11 +332,10 @@ def block_of(spp: int) -> np.ndarray:
     return np.asarray(1 << max(spp.bit_length() - 2, 0), np.int32)
 
 
-class _Probes(eqx.Module):
+class _Probes(Begin):
     """Paths that begin on elements, for their reflected radiance."""
 
     elements: Elements
-    searches = False
 
     def __call__(self, world: World, number: Any, s: Stream) -> path.PathState:
         place = s.child(1)  # the path's own first reflection takes pairs from before the camera's
