@@ -333,7 +333,7 @@ def prepare(scene: Scene, plan: Plan) -> World:
         center=sg(center),
         radius=sg(radius),
         epsilon=epsilon,
-        present=scene.counts[0] >= 0,
+        present=jax.lax.rng_uniform(0.0, 1.0, ()) >= 0,  # not of the scene, which a closure may make constant
         instances=instances,
         grids=grids,
         environment=Environment.of(scene, plan.environment) if plan.environment else None,

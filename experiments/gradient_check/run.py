@@ -100,7 +100,7 @@ def main() -> None:
     parser.add_argument("names", nargs="*", help="motions; all by default")
     parser.add_argument("--quick", action="store_true", help="one motion, few samples: under a minute")
     args = parser.parse_args()
-    res, spp, reference = (24, 256, 4096) if args.quick else (48, 1024, 32768)
+    res, spp, reference = (24, 256, 4096) if args.quick else (48, 1024, 8192)
     known = motions(res)
     names = args.names or (["occluder moved"] if args.quick else list(known))
     rows = []

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 from typing import Any
 
+import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.lax import stop_gradient as sg
@@ -15,6 +17,9 @@ from jax.lax import stop_gradient as sg
 from ..scene import KINDS
 from ..vector import Vec3, cross, dot, length, normalise, safe_sqrt, where
 from ..world import World
+
+PARTS = 8
+"""Parts of even u that a curve is chosen by."""
 
 PIECES = {"disk": ("rim",), "sphere": ("ring",), "cylinder": ("foot", "top", "left", "right")}
 
@@ -37,17 +42,6 @@ def listed(blocks: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray, tuple[str, 
 def _face(world: World, face: Any) -> tuple[Vec3, Vec3, Vec3]:
     row = world.geometry.at[face].get(mode="clip", wrap_negative_indices=False)
     return tuple(Vec3(row[k], row[k + 1], row[k + 2]) for k in (0, 3, 6))  # pyright: ignore[reportReturnType]
-
-
-def size(world: World, face: Any, name: Any, x: Vec3) -> tuple[Any, Any]:
-    """About how long a curve is, and how far from x (m)."""
-    o, a, b = _face(world, face)
-    round_ = 2 * np.pi * jnp.maximum(length(a), length(b))
-    if name in ("foot", "top"):
-        round_ = 2 * np.pi * length(b)
-    if name in ("left", "right"):
-        return jnp.where(length(b) > 0, length(a), 0.0), length(o + a * 0.5 - x)
-    return round_, length((o + a if name == "top" else o) - x)
 
 
 def _turn(u: Any) -> tuple[Any, Any]:
@@ -85,3 +79,56 @@ def point(world: World, face: Any, name: str, x: Vec3, u: Any) -> tuple[Vec3, Ve
     across = cross(axis, out) * (safe_sqrt(1.0 - share * share) * (1.0 if name == "left" else -1.0))
     n = out * share + across
     return o + a * u + sg(n) * radius, sg(a) * jnp.where(share < 1, 1.0, 0.0), sg(o + a * u)
+
+
+class Parts(eqx.Module):
+    """Even parts of all curves as seen from a point x: directions of their middles, radii of what they take about
+    these (radians), and the angles they take over their distances."""
+
+    w: Vec3
+    reach: Any
+    rate: Any
+
+    @property
+    def count(self) -> int:
+        return len(self.rate)
+
+    def seen_in(self, plane: Any) -> Parts:
+        """As a mirror shows them, if x is the image of a point there."""
+        return Parts(self.w - plane.n * (2.0 * dot(plane.n, self.w)), self.reach, self.rate)
+
+    def weigh(self, cones: Any) -> Any:
+        """How often to choose each, where it may be inside all of some cones."""
+        weight = self.rate
+        for cone in cones:
+            if cone is not None:
+                half = jnp.arcsin(jnp.minimum(cone.sine, 1.0))
+                off = jnp.arctan2(length(cross(self.w, cone.axis)), dot(self.w, cone.axis))
+                near = off < half + self.reach
+                weight = jnp.where(near | (cone.sine >= 1.0), weight, 0.0)
+        return weight
+
+
+def parts(world: World, blocks: tuple[int, ...], x: Vec3) -> Parts:
+    """Those of all curves: of `listed` the first's parts first."""
+    kinds, faces, names = listed(blocks)
+    middles = (np.arange(PARTS) + 0.5) / PARTS
+    found = []
+    for k, name in enumerate(names):
+        mine = jnp.asarray(np.repeat(faces[kinds == k], PARTS))
+        u = jnp.asarray(np.tile(middles, int((kinds == k).sum())), world.faces.dtype)
+
+        def one(face: Any, u: Any, name: str = name) -> Parts:
+            y, along, _ = point(world, face, name, x, u)
+            to, long = y - x, length(along) / PARTS
+            r = jnp.maximum(length(to), world.epsilon)
+            # A part that is seen end-on in its middle is seen from the side elsewhere.
+            angle = jnp.maximum(length(cross(to, along)) / (r * r * PARTS), 0.2 * long / r)
+            reach = jnp.arctan2(0.6 * long, r)
+            return Parts(to * (1.0 / r), jnp.where(long > r, np.pi, reach), angle / r)
+
+        found.append(jax.vmap(one)(mine, u))
+    if not found:
+        zero = jnp.zeros(0, world.faces.dtype)
+        return Parts(Vec3(zero, zero, zero), zero, zero)
+    return jax.tree.map(lambda *a: jnp.concatenate(a), *found)

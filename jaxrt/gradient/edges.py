@@ -7,6 +7,7 @@ the device from a scene's tables, by two sorts, where a derivative asks for it.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import equinox as eqx
@@ -17,7 +18,7 @@ from jaxtyping import Array, Bool, Float, Int32
 
 from .. import brdf
 from ..scene import Scene
-from ..vector import Vec3, cross, dot, normalise, safe_sqrt, where
+from ..vector import Vec3, cross, dot, length, normalise, safe_sqrt, where
 from ..world import World
 from . import curves
 
@@ -196,6 +197,20 @@ def _mirrors(scene: Scene, world: World) -> Any:
     return area / jnp.maximum(area.sum(), 1e-30)
 
 
+class Cone(eqx.Module):
+    """Directions about a unit axis, by the sine of the half angle; of sine 1 or more: all."""
+
+    axis: Vec3
+    sine: Any
+
+    @classmethod
+    def around(cls, ball: Any, x: Vec3, plane: Plane | None = None) -> Cone:
+        """What a ball (centre, radius), or its image in a mirror, takes of the directions from x, and hardly more."""
+        centre = Vec3(ball[0], ball[1], ball[2])
+        to = (centre if plane is None else plane.image(centre)) - x
+        return cls(normalise(to), ball[3] / jnp.maximum(length(to), 1e-30) * 1.0005 + 1e-6)
+
+
 class Plane(eqx.Module):
     """A flat mirror's: a point of it and the unit normal."""
 
@@ -249,16 +264,24 @@ class Arc(eqx.Module):
     def direction(self, phi: Any) -> Vec3:
         return self.middle * jnp.cos(phi) + self.along * jnp.sin(phi)
 
-    def towards(self, axis: Vec3, sine: Any) -> tuple[Any, Any]:
-        """The range of φ inside the cone about a unit axis whose half angle has this sine; empty: low ≥ high. A cone of
-        sine 1 holds all."""
-        c, s = dot(axis, self.middle), dot(axis, self.along)
+    def towards(self, cone: Cone) -> tuple[Any, Any]:
+        """The range of φ inside a cone; empty: low ≥ high."""
+        c, s = dot(cone.axis, self.middle), dot(cone.axis, self.along)
         reach = safe_sqrt(c * c + s * s)
-        cos = safe_sqrt(1.0 - sine * sine) / jnp.maximum(reach, 1e-12)
+        cos = safe_sqrt(1.0 - cone.sine * cone.sine) / jnp.maximum(reach, 1e-12)
         delta = jnp.where(cos < 1.0, jnp.arccos(jnp.minimum(cos, 1.0)), -1.0)
-        delta = jnp.where(sine < 1.0, delta, 2 * np.pi)
+        delta = jnp.where(cone.sine < 1.0, delta, 2 * np.pi)
         at = jnp.arctan2(s, c)
         return jnp.maximum(-self.half, at - delta), jnp.minimum(self.half, at + delta)
+
+    def within(self, cones: Sequence[Cone | None]) -> tuple[Any, Any]:
+        """The range of φ inside all of some cones."""
+        low, high = -self.half, self.half
+        for cone in cones:
+            if cone is not None:
+                a, b = self.towards(cone)
+                low, high = jnp.maximum(low, a), jnp.minimum(high, b)
+        return low, high
 
 
 def arc_of(ends: tuple[Vec3, Vec3], x: Vec3, n: Vec3 | None) -> Arc:

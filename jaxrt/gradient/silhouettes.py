@@ -123,8 +123,8 @@ def _beside(
 
 
 def picture(world: World, edges: Edges, view: Any, depths: path.Depths, seed: Any, n: int, samples: int) -> Any:
-    """The term for all pixels, (n, C): 0, with derivatives. `samples`: points on edges, shared among straight ones,
-    outlines of curved faces, and both in mirrors, as far as there are such."""
+    """The term for all pixels, (n, C): 0, with derivatives. `samples`: points on edges, of straight
+    ones, of outlines of curved faces, and of both in mirrors, as far as there are such."""
     fixed, plan, still = sg(world), world.plan, sg(view)
     filter_, central = still.sensor.film, still.sensor.kind != "orthographic"
     straight, curved = len(edges.ends) > 0, central and edges.curved
@@ -180,6 +180,7 @@ def picture(world: World, edges: Edges, view: Any, depths: path.Depths, seed: An
                 parts.append(value * sg(h))
         return jnp.stack(places), jnp.stack(parts)
 
+    samples *= n_ways
     lanes = min(samples, LANES)
     batches = max(1, round(samples / lanes))
     zero = jnp.zeros((n, plan.channels), fixed.faces.dtype)

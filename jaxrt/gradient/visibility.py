@@ -22,6 +22,7 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.lax import stop_gradient as sg
 
 from .. import brdf
@@ -72,16 +73,18 @@ def choose(
     x: Vec3,
     n: Vec3 | None,
     s: Stream,
-    cone: tuple[Vec3, Any] | None = None,
+    cone: edge.Cone | None = None,
     plane: edge.Plane | None = None,
     creases: bool = True,
     straight: bool = True,
+    toward: edge.Cone | None = None,
 ) -> Chosen:
     """An edge as seen from x (above the horizon of n), by the angle it takes over its distance, and an even angle
-    along it; or an outline of a curved face, and an even place on it.
+    along it; or a part of the outline of a curved face, and an even place on it.
 
-    `cone`: the parts of edges inside a cone of directions, (axis, sine of the half angle). `plane`: a mirror, in which
-    they are seen. Without `creases`: outlines alone; without `straight`, those of curved faces.
+    `cone`: the parts of edges inside a cone of directions. `plane`: a mirror, in which they are seen. Without
+    `creases`: outlines alone; without `straight`, those of curved faces. `toward`: a cone whose insides half of the
+    choices are made from; densities are those of both.
     """
     u, v = s.pair_at(0)
     total = edges.ends.shape[0] if straight else 0
@@ -92,68 +95,92 @@ def choose(
         at = (jnp.arange(CANDIDATES) + s.pair_at(1)[0]) / CANDIDATES
         numbers = jnp.clip(jnp.searchsorted(jnp.cumsum(chance), at, side="right"), 0, total - 1)
         scale = 1.0 / (jnp.maximum(chance[numbers], 1e-30) * CANDIDATES)
+    cones = [[cone], [cone, toward]][: 2 if toward is not None else 1]
 
-    def weigh(j: Any, scale: Any) -> Any:
+    def weigh(j: Any, scale: Any) -> list[Any]:
         arc = edge.arc_of(edge.two_points(edges.ends[j], plane), x, n)
         seen = edge.hides(edges, j, x, arc.pole, plane)
-        seen = seen | edges.crease[j] if creases else seen
-        low, high = (-arc.half, arc.half) if cone is None else arc.towards(*cone)
-        there = seen & (j < edges.count) & (high > low)
-        return jnp.where(there, scale * (high - low) / jnp.maximum(arc.distance, world.epsilon), 0.0)
+        seen = (seen | edges.crease[j] if creases else seen) & (j < edges.count)
+        rate = scale / jnp.maximum(arc.distance, world.epsilon)
+        ranges = [arc.within(c) for c in cones]
+        return [jnp.where(seen & (high > low), rate * (high - low), 0.0) for low, high in ranges]
 
-    seen_from = x if plane is None else plane.image(x)
-    weights = jax.vmap(weigh)(numbers, scale) if total else jnp.zeros(0, world.faces.dtype)
-    kinds, faces, names = curves.listed(world.blocks)
-    for k, name in enumerate(names):
-        long, far = jax.vmap(lambda f, name=name: curves.size(world, f, name, seen_from))(
-            jnp.asarray(faces[kinds == k])
-        )
-        weights = jnp.concatenate([weights, long / jnp.maximum(far, world.epsilon) ** 2])
-    sums = jnp.cumsum(weights)
-    k = jnp.minimum(jnp.sum(sums <= u * sums[-1]), len(weights) - 1)
-    chance = weights[k] / jnp.where(sums[-1] > 0, sums[-1], 1.0)
-    ok = chance > 0
-    inverse = jnp.where(ok, 1.0 / jnp.where(ok, chance, 1.0), 0.0)
+    parts = curves.parts(world, edges.blocks, x if plane is None else plane.image(x))
+    if plane is not None:
+        parts = parts.seen_in(plane)
+    weights = jax.vmap(weigh)(numbers, scale) if total else [jnp.zeros(0, world.faces.dtype)] * len(cones)
+    if parts.count:
+        weights = [jnp.concatenate([w, parts.weigh(c)]) for w, c in zip(weights, cones, strict=True)]
+    sums = [_sums(w) for w in weights]
+    shares = [jnp.ones_like(u)]
+    if toward is not None:
+        half = jnp.where(sums[1][-1] > 0, 0.5, 0.0)
+        second = u < half
+        u = jnp.where(second, u / jnp.maximum(half, 0.5), (u - half) / (1.0 - half))
+        shares = [1.0 - half, half]
+        k = jnp.where(second, _pick(sums[1], u), _pick(sums[0], u))
+    else:
+        second, k = False, _pick(sums[0], u)
+    chances = [a * w[k] / jnp.where(c[-1] > 0, c[-1], 1.0) for a, w, c in zip(shares, weights, sums, strict=True)]
     found: Chosen | None = None
     if total:
-        k_straight = jnp.minimum(k, total - 1)
-        found = _on_edge(world, edges, numbers[k_straight], x, n, v, cone, plane, inverse * scale[k_straight])
-    if names:
-        c = jnp.maximum(k - total, 0)
-        curved = _on_curve(world, edges, c, x, seen_from, v, plane, inverse)
+        i = jnp.minimum(k, total - 1)
+        found = _on_edge(world, edges, numbers[i], x, n, v, cones, plane, second, chances, scale[i])
+    if parts.count:
+        chance = sum(chances)
+        inverse = jnp.where(chance > 0, 1.0 / jnp.where(chance > 0, chance, 1.0), 0.0)
+        curved = _on_curve(world, edges, jnp.maximum(k - total, 0), x, v, plane, inverse)
         found = curved if found is None else where(k >= total, curved, found)
     assert found is not None
     return found
 
 
+def _sums(weights: Any) -> Any:
+    """Running sums, as a product: XLA would make each weight anew for every sum that holds it."""
+    n = len(weights)
+    return jnp.dot(weights, jnp.asarray(np.triu(np.ones((n, n))), weights.dtype), precision="highest")
+
+
+def _pick(sums: Any, u: Any) -> Any:
+    return jnp.minimum(jnp.sum(sums <= u * sums[-1]), len(sums) - 1)
+
+
 def _on_edge(
-    world: World, edges: Edges, j: Any, x: Vec3, n: Any, v: Any, cone: Any, plane: Any, inverse: Any
-) -> Chosen:
+    world: World, edges: Edges, j: Any, x: Vec3, n: Any, v: Any, cones: Any, plane: Any, second: Any, chances: Any,
+    scale: Any,
+) -> Chosen:  # fmt: skip
     p, q = edge.two_points(edges.ends[j], plane)
     arc = edge.arc_of((p, q), x, n)
-    low, high = (-arc.half, arc.half) if cone is None else arc.towards(*cone)
-    w = arc.direction(low + (high - low) * v)
+    ranges = [arc.within(c) for c in cones]
+    low, high = ranges[0] if len(ranges) == 1 else where(second, ranges[1], ranges[0])
+    phi = low + (high - low) * v
+    density = 0.0 * phi
+    for (a, b), chance in zip(ranges, chances, strict=True):
+        inside = (phi >= a) & (phi <= b) & (b > a)
+        density += jnp.where(inside, chance / jnp.where(b > a, b - a, 1.0), 0.0)
+    w = arc.direction(phi)
     along = q - p
     across, normal = cross(w, along), cross(p - x, along)
     r = length(normal) / jnp.maximum(length(across), 1e-30)
     t = jnp.clip(dot(x + w * r - p, along) / jnp.maximum(dot(along, along), 1e-30), 0.0, 1.0)
-    good = (high > low) & jnp.isfinite(r) & (r > 8.0 * world.epsilon)
+    good = (density > 0) & jnp.isfinite(r) & (r > 8.0 * world.epsilon)
     slope = r * r / jnp.maximum(length(normal), 1e-30)
     beside = edge.two_points(edges.beside[j], plane)[0]
-    weight = jnp.where(good, inverse * (high - low), 0.0)
+    weight = jnp.where(good, scale / jnp.where(good, density, 1.0), 0.0)
     return Chosen(j, x, beside, w, arc.pole, jnp.where(good, r, 1.0), t, slope, weight)
 
 
-def _on_curve(world: World, edges: Edges, c: Any, x: Vec3, seen_from: Vec3, u: Any, plane: Any, inverse: Any) -> Chosen:
-    j = c + edges.ends.shape[0]
+def _on_curve(world: World, edges: Edges, c: Any, x: Vec3, v: Any, plane: Any, inverse: Any) -> Chosen:
+    j, u = c // curves.PARTS + edges.ends.shape[0], (c % curves.PARTS + v) / curves.PARTS
+    seen_from = x if plane is None else plane.image(x)
     image = (lambda p: p) if plane is None else plane.image
-    y, along, beside = edges.curve(world, c, seen_from, u)
+    y, along, beside = edges.curve(world, c // curves.PARTS, seen_from, u)
     y, along, beside = image(y), image(y + along) - image(y), image(beside)
     to = y - x
     r, normal = length(to), cross(to, along)
     angle = length(normal) / jnp.maximum(r * r, 1e-30)  # dφ/du
     good = (r > 8.0 * world.epsilon) & (angle > 0)
-    weight = jnp.where(good, inverse * angle, 0.0)
+    weight = jnp.where(good, inverse * angle / curves.PARTS, 0.0)
     slope = 1.0 / jnp.maximum(angle, 1e-30)
     return Chosen(j, seen_from, beside, normalise(to), normalise(normal), jnp.where(good, r, 1.0), u, slope, weight)
 
@@ -217,7 +244,7 @@ class Mirror(eqx.Module):
 
     face: Any
     plane: edge.Plane
-    cone: tuple[Vec3, Any]
+    cone: edge.Cone
     weight: Any
 
     @classmethod
@@ -233,7 +260,7 @@ class Mirror(eqx.Module):
         sine = radius / jnp.maximum(length(to), 1e-30)
         ok = chance[face] > 0
         weight = jnp.where(ok, 1.0 / jnp.where(ok, chance[face], 1.0), 0.0)
-        return cls(face, edge.Plane.of(world, face), (normalise(to), sine), weight)
+        return cls(face, edge.Plane.of(world, face), edge.Cone(normalise(to), sine), weight)
 
     def behind(self, world: World, o: Vec3, w: Vec3, at: SurfacePoint) -> SurfacePoint:
         """What a ray that lands at a point sees in the mirror; of face −2 where the point is not on it."""
@@ -258,9 +285,7 @@ def shadows(world: World, edges: Edges, seen: Seen, value: Any, s: Stream) -> Sp
     chances = fixed.light_rows[: bounds.shape[0], 13] if bounds.shape[0] > 1 else jnp.ones(1)
     cdf = jnp.cumsum(chances)
     k = jnp.minimum(jnp.sum(cdf <= s.pair_at(2)[0] * cdf[-1]), len(chances) - 1)
-    to = Vec3(bounds[k, 0], bounds[k, 1], bounds[k, 2]) - x
-    sine = bounds[k, 3] / jnp.maximum(length(to), 1e-30)
-    chosen = choose(fixed, edges, x, n, s, (normalise(to), sine * 1.0005 + 1e-6), creases=False)
+    chosen = choose(fixed, edges, x, n, s, edge.Cone.around(bounds[k], x), creases=False)
     j, r = chosen.edge, chosen.r
     free = jnp.where(dot(chosen.pole, chosen.beside - x) > 0, -1.0, 1.0)
     both = jax.vmap(lambda side: _look(fixed, seen, chosen, side))(jnp.stack([free, -free]))
@@ -292,10 +317,17 @@ def outlines(
     """
     fixed, plan = sg(world), world.plan
     x, n = sg(seen.position), None if brdf.is_translucent(plan.lobes) else seen.normal
-    kinds: list[tuple[Chosen, Mirror | None]] = [(choose(fixed, edges, x, n, s), None)]
-    if edges.mirrors is not None:
-        mirror = Mirror.choose(fixed, edges, x, s.pair_at(2)[1])
-        kinds.append((choose(fixed, edges, x, n, s.child(1), mirror.cone, mirror.plane), mirror))
+    kinds: list[tuple[Chosen, Mirror | None]] = []
+    if edges.mirrors is None:
+        kinds.append((choose(fixed, edges, x, n, s), None))
+    else:
+        mirror, lamp = Mirror.choose(fixed, edges, x, s.pair_at(2)[1]), None
+        if plan.light_kinds:  # a lamp's image is as bright as the lamp
+            bounds = fixed.light_bounds
+            k = jnp.minimum((s.pair_at(2)[0] * bounds.shape[0]).astype(int), bounds.shape[0] - 1)
+            lamp = edge.Cone.around(bounds[k], x, mirror.plane)
+        kinds.append((choose(fixed, edges, x, n, s, toward=lamp), None))
+        kinds.append((choose(fixed, edges, x, n, s.child(1), mirror.cone, mirror.plane, toward=lamp), mirror))
 
     def ray(w: Vec3, pole: Vec3, angle: Any) -> Any:
         w = normalise(w + pole * angle)

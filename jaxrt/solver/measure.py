@@ -33,8 +33,9 @@ APART = 2048
 WIDE = 8192
 """Rays in flight where a program pays for starting each kernel: under differentiation."""
 
-SILHOUETTE = 8.0
-"""Points on edges that a picture's derivative takes per sample, in units of its side."""
+SILHOUETTE = 32.0
+"""Points on edges that a picture's derivative takes per sample, in units of its side: of straight ones, of outlines of
+curved faces, and in mirrors."""
 
 FOLLOWED = 8
 """Landings up to which derivatives follow paths that end in a field."""

@@ -156,7 +156,7 @@ def test_an_arc_is_the_part_of_an_edge_in_a_cone():
 
     def one(p, q, axis, sine):
         arc = edge.arc_of((Vec3.of(p), Vec3.of(q)), Vec3(0.0, 0.0, 0.0), None)
-        low, high = arc.towards(Vec3.of(axis), sine)
+        low, high = arc.towards(edge.Cone(Vec3.of(axis), sine))
         phi = jnp.linspace(-arc.half, arc.half, 41)
         w = jax.vmap(lambda f: arc.direction(f).array())(phi)
         return arc.half, w, phi, low, high
@@ -180,7 +180,7 @@ RES = 16
 
 def moving(name):
     """A scene, its parameters at θ, and its depth: a block over a floor in a corner, everything in motion."""
-    grey, floor = jaxrt.Diffuse(0.7, id="grey"), moved(2.0)
+    grey, floor = jaxrt.Diffuse(0.7, id="grey"), moved(1.4)  # which ends before the wall: no shape cuts another
     block, lamp = (
         moved(0.35, (0.1, 0.0, 0.8), frame((0.2, 0.1, 1), (1, 0.4, 0))),
         moved(0.4, (0.3, 0.2, 2.5), frame((0, 0, -1), (1, 0, 0))),
@@ -224,7 +224,10 @@ def moving(name):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["direct", "indirect", "mirror", "curved"])
 def test_all_moves_at_once(name):
-    """Occluder, receiver, lamp, wall or mirror, and camera: blocks of 4 x 4 pixels of the derivative's picture."""
+    """Occluder, receiver, lamp, wall or mirror, and camera: blocks of 4 x 4 pixels of the derivative's picture.
+
+    Of 8192 samples: with 1024 the first two are within 3 %, mirror and curved faces within 6 %, which is noise.
+    """
     scene, at, max_depth = moving(name)
     plan = jaxrt.plan(scene)
 
@@ -236,5 +239,5 @@ def test_all_moves_at_once(name):
     h, spp = 0.02, 1 << 16
     want = (np.asarray(picture(h, 7, spp), float) - np.asarray(picture(-h, 7, spp), float)) / (2 * h)
     blocks = lambda a: np.asarray(a, float)[..., 0].reshape(RES // 4, 4, RES // 4, 4).mean((1, 3))
-    got, want = blocks(slope(3)), blocks(want)
+    got, want = np.mean([blocks(slope(key)) for key in range(8)], 0), blocks(want)
     assert np.abs(got - want).sum() < 0.03 * np.abs(want).sum()
