@@ -74,7 +74,6 @@ ITEMS = {
         '<boolean name="nonlinear" value="true"/><string name="distribution" value="ggx"/>'
         '<float name="alpha" value=".4"/></bsdf></bsdf>',
     ),
-    "null": two('<bsdf type="null"/>', '<bsdf type="conductor"/>'),
 }
 
 
@@ -127,6 +126,18 @@ def test_crop_windows_principal_points_and_filters(kind, tmp_path):
         border = '<boolean name="sample_border" value="true"/><rfilter type="lanczos"/>'
         text = text.replace('<rfilter type="box"/>', border)
     check(tmp_path, text)
+
+
+def test_hidden_emitters(tmp_path):
+    """A lamp, a dark one and the enclosure, alone, behind each other, and behind what lets light straight through."""
+    plate = """<shape type="rectangle"><transform name="to_world"><scale value=".4"/><rotate x="1" angle="60"/>
+    <translate x="{}" y="{}" z=".4"/></transform>{}</shape>"""
+    lamp, dark = (f'<emitter type="area"><rgb name="radiance" value="{v}"/></emitter>' for v in (2, 0))
+    sheets = '<bsdf type="null"/>', '<bsdf type="thindielectric"/>'
+    shapes = [(-1.2, -1, lamp), (-1, -0.6, dark), (-0.3, -1, sheets[0]), (-0.1, -0.6, lamp)]
+    shapes += [(0.6, -1, sheets[1]), (0.8, -0.6, lamp), (1.5, -1, sheets[0]), (1.7, -0.6, sheets[1])]
+    text = SCENE.format(depth=5, emitter=CONSTANT, shape="".join(plate.format(*shape) for shape in shapes))
+    check(tmp_path, text.replace("</integrator>", '<boolean name="hide_emitters" value="true"/></integrator>'))
 
 
 def test_emitters_that_only_light_tracing_sees(tmp_path):

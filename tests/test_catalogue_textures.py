@@ -14,6 +14,7 @@ pytestmark = [pytest.mark.peer, pytest.mark.usefixtures("short_loops")]
 @pytest.fixture
 def pictures(tmp_path):
     """Files that scenes below refer to: colours, an uneven grey, and a mesh with coordinates and attributes."""
+    import trimesh
     from PIL import Image
 
     random = np.random.default_rng(3)
@@ -38,6 +39,7 @@ def pictures(tmp_path):
     body = [" ".join(map(str, p + t + c)) for p, t, c in zip(corners, uvs, colours, strict=True)]
     body += ["3 0 1 2 .1 .8 .3", "3 0 2 3 .7 .2 .9"]
     (tmp_path / "sheet.ply").write_text("\n".join(head + body) + "\n")
+    trimesh.creation.icosahedron().export(tmp_path / "smooth.ply")
     bare = [*(f"{x} {y} {z}" for x, y, z in corners), "3 0 1 2", "3 0 2 3"]
     kept = [line for line in head if line[-2:] not in (" u", " v", " r", " g", " b")]
     (tmp_path / "bare.ply").write_text("\n".join(kept + bare) + "\n")
@@ -114,7 +116,10 @@ TEXTURED = {
     ),
     "emission": two('<bsdf type="diffuse"/>', f'<emitter type="area">{bitmap("radiance", "bright.exr")}</emitter>')
     + f"""<shape type="rectangle"><transform name="to_world"><lookat origin="-2,-1,2" target="0,0,0" up="0,0,1"/>
-    </transform><emitter type="area">{bitmap("radiance", "colours.png")}</emitter></shape>""",
+    </transform><emitter type="area">{bitmap("radiance", "colours.png")}</emitter></shape>
+    <shape type="ply"><string name="filename" value="smooth.ply"/>
+    <transform name="to_world"><scale value=".5"/><translate x="-.3" y="-1.5" z=".8"/></transform>
+    <emitter type="area"><rgb name="radiance" value="6,9,3"/></emitter></shape>""",  # dark where vertex normals turn away
 }
 
 CHECKERS_IN = '<texture type="checkerboard" name="{}">{}</texture>'
