@@ -126,8 +126,7 @@ def surface_point(world: World, face: Any, o: Vec3, d: Vec3) -> SurfacePoint:
     shading, tangent, bitangent, extra = normal, None, None, FACE["extra"]
     out = normal * side  # of curved faces the outward normal
     if plan.smooth_normals:
-        n0, n1, n2 = (_vec(row, extra + 3 * k) for k in range(3))
-        smooth = move(n0 * (1.0 - u - v) + n1 * u + n2 * v, 0.0)[0] * side
+        smooth = move(_interpolated(row, u, v), 0.0)[0] * side
         given = (dot(smooth, smooth) > 1e-12) & ~miss
         shading, extra = normalise(where(given, smooth, normal)), extra + 9
     if world.grids is not None:
@@ -157,6 +156,21 @@ def surface_point(world: World, face: Any, o: Vec3, d: Vec3) -> SurfacePoint:
     )
 
 
+def _interpolated(row: Any, u: Any, v: Any) -> Vec3:
+    """The mean of a face's vertex normals at a point, 0 where it has none."""
+    n0, n1, n2 = (_vec(row, FACE["extra"] + 3 * k) for k in range(3))
+    return n0 * (1.0 - u - v) + n1 * u + n2 * v
+
+
+def light_normal(world: World, face: Any, u: Any, v: Any, front: Vec3) -> Vec3:
+    """The normal that a point of a light's face emits about: of its vertices as Mitsuba's, else `front`, its face's."""
+    if not world.plan.smooth_lights:
+        return front
+    row = _row(world.faces, face)
+    smooth = _interpolated(row, u, v) * row[FACE["side"]]
+    return normalise(where(dot(smooth, smooth) > 1e-12, smooth, front))
+
+
 def _tangents(
     world: World, row: Any, number: Any, p: Vec3, on_face: tuple[Any, Any], out: Vec3, turn: Any, column: int
 ) -> tuple[Vec3, Vec3]:
@@ -172,13 +186,13 @@ def _tangents(
 
 
 def radiance_of(world: World, x: SurfacePoint, w: Vec3) -> Spectrum:
-    """L⁰(x, ω): emitted radiance, on the front side only."""
+    """L⁰(x, ω): emitted radiance, on the front side only: as in Mitsuba that of vertex normals, if there are such."""
     row, plan = _row(world.finishes, x.finish), world.plan
     k = world.finishes.shape[1] - plan.channels - plan.textured_lights
     emitted = Spectrum(tuple(row[k + c] for c in range(plan.channels)))
     if plan.textured_lights:
         emitted = textured(world, row[k + plan.channels], x.place, emitted)
-    front = dot(x.normal, w) > 0
+    front = dot(x.shading if plan.smooth_lights else x.normal, w) > 0
     return emitted.map(lambda c: jnp.where(front, c, 0.0))
 
 

@@ -32,50 +32,53 @@ def two(a, b):
     return BOX.format(a, b)
 
 
-def principled(thin, given):
+def several(*bsdfs):
+    """Up to six materials, on cubes and spheres by turns."""
+    cube = '<shape type="cube"><transform name="to_world"><scale value=".4"/><rotate z="1" angle="30"/><translate x="{}" y="{}" z="-.55"/></transform>{}</shape>'
+    ball = (
+        '<shape type="sphere"><point name="center" x="{}" y="{}" z="-.5"/><float name="radius" value=".45"/>{}</shape>'
+    )
+    places = [(-0.7, -1.2), (0.7, -1.2), (0.2, 0.2), (1.5, 0.2), (-1.2, 0.2), (-0.1, 1.7)]
+    return "".join((ball if k % 2 else cube).format(*places[k], bsdf) for k, bsdf in enumerate(bsdfs))
+
+
+def principled(thin, given, more='<rgb name="base_color" value=".8,.6,.2"/>'):
     numbers = "".join(f'<float name="{k}" value={v}/>' for k, v in (pair.split("=") for pair in given.split()))
-    return f'<bsdf type="principled{thin}"><rgb name="base_color" value=".8,.6,.2"/>{numbers}</bsdf>'
+    return f'<bsdf type="principled{thin}">{more}{numbers}</bsdf>'
 
 
 METAL = 'metallic=".6" anisotropic=".7" roughness=".4" clearcoat="1" clearcoat_gloss=".3" sheen=".5" specular=".7"'
 GLASS = 'spec_trans=".8" roughness=".4" eta="1.4" spec_tint=".3" flatness=".5"'
 GOLD = '<string name="material" value="Au"/>'
+GLASSES = '<rgb name="specular_reflectance" value=".9,.8,.7"/><rgb name="specular_transmittance" value=".6,.7,.8"/>'
 ITEMS = {
-    "beckmann": two(rough("beckmann", GOLD), rough("beckmann", '<float name="alpha" value=".4"/>')),
-    "ggx": two(
+    "metals": several(
+        rough("beckmann", GOLD),
+        rough("beckmann", '<float name="alpha" value=".4"/>'),
         rough("ggx", '<float name="alpha_u" value=".5"/><float name="alpha_v" value=".1"/>'),
         rough("ggx", '<float name="alpha" value=".8"/>'),
     ),
-    "dielectric": two(
+    "smooth boundaries": several(
         '<bsdf type="dielectric"/>',
         '<bsdf type="dielectric"><string name="int_ior" value="diamond"/><float name="ext_ior" value="1.1"/>'
-        '<rgb name="specular_reflectance" value=".9,.8,.7"/><rgb name="specular_transmittance" value=".6,.7,.8"/></bsdf>',
-    ),
-    "thindielectric": two(
+        f"{GLASSES}</bsdf>",
         '<bsdf type="thindielectric"><float name="int_ior" value="2"/></bsdf>',
         '<bsdf type="thindielectric"><rgb name="specular_transmittance" value=".6,.7,.8"/></bsdf>',
-    ),
-    "plastic": two(
         '<bsdf type="plastic"><rgb name="diffuse_reflectance" value=".1,.27,.36"/></bsdf>',
         '<bsdf type="twosided"><bsdf type="plastic"><rgb name="diffuse_reflectance" value=".9,.5,.1"/>'
         '<boolean name="nonlinear" value="true"/><string name="int_ior" value="pet"/></bsdf></bsdf>',
     ),
-    "principled": two(principled("", METAL), principled("", GLASS)),
-    "principledthin": two(principled("thin", 'spec_trans=".3" diff_trans=".8" sheen="1"'), principled("thin", GLASS)),
-    "roughdielectric": two(
+    "rough boundaries": several(
         '<bsdf type="roughdielectric"><float name="alpha" value=".2"/></bsdf>',
         '<bsdf type="roughdielectric"><string name="distribution" value="ggx"/><float name="alpha_u" value=".6"/>'
-        '<float name="alpha_v" value=".3"/><string name="int_ior" value="diamond"/>'
-        '<rgb name="specular_reflectance" value=".9,.8,.7"/><rgb name="specular_transmittance" value=".6,.7,.8"/></bsdf>',
-    ),
-    "roughplastic": two(
+        f'<float name="alpha_v" value=".3"/><string name="int_ior" value="diamond"/>{GLASSES}</bsdf>',
         '<bsdf type="roughplastic"><rgb name="diffuse_reflectance" value=".1,.27,.36"/></bsdf>',
         '<bsdf type="twosided"><bsdf type="roughplastic"><rgb name="diffuse_reflectance" value=".9,.5,.1"/>'
         '<boolean name="nonlinear" value="true"/><string name="distribution" value="ggx"/>'
         '<float name="alpha" value=".4"/></bsdf></bsdf>',
     ),
-    "null": two('<bsdf type="null"/>', '<bsdf type="conductor"/>'),
 }
+"""Several in a scene, for one compilation; principled surfaces are with the textures."""
 
 
 LAMPS = {
@@ -103,10 +106,16 @@ def test_mitsuba_renders_the_same_picture(name, tmp_path):
     check(tmp_path, SCENE.format(depth=7, emitter=CONSTANT, shape=ITEMS[name]))
 
 
-@pytest.mark.parametrize("name", [*LAMPS, "all"])
+SLOW = [pytest.param(name, marks=pytest.mark.slow) for name in ("spot", "directional")]  # "all" has them
+
+
+@pytest.mark.parametrize("name", ["point", *SLOW, "all"])
 def test_lamps_without_extent(name, tmp_path):
+    """With emitters beside them that only light tracing sees: black surfaces, and others that are as without."""
+    beam = '<emitter type="directionalarea"><rgb name="radiance" value="90,80,70"/></emitter>'
     emitters = "".join(LAMPS.values()) if name == "all" else LAMPS[name] + '<emitter type="constant"/>'
-    text = SCENE.format(depth=4, emitter=emitters, shape=two('<bsdf type="diffuse"/>', '<bsdf type="diffuse"/>'))
+    shape = several('<bsdf type="diffuse"/>', '<bsdf type="diffuse"/>', beam, f'<bsdf type="diffuse"/>{beam}')
+    text = SCENE.format(depth=4, emitter=emitters, shape=shape)
     if name != "all":  # no lamp with extent beside it
         text = text.replace('<emitter type="area"><rgb name="radiance" value="9,8,7"/></emitter>', "")
     check(tmp_path, text)
@@ -129,12 +138,19 @@ def test_crop_windows_principal_points_and_filters(kind, tmp_path):
     check(tmp_path, text)
 
 
-def test_emitters_that_only_light_tracing_sees(tmp_path):
-    beam = '<emitter type="directionalarea"><rgb name="radiance" value="90,80,70"/></emitter>'
-    shape = two(beam, f'<bsdf type="diffuse"/>{beam}')
-    check(tmp_path, SCENE.format(depth=3, emitter=CONSTANT, shape=shape))
+def test_hidden_emitters(tmp_path):
+    """A lamp, a dark one and the enclosure, alone, behind each other, and behind what lets light straight through."""
+    plate = """<shape type="rectangle"><transform name="to_world"><scale value=".4"/><rotate x="1" angle="60"/>
+    <translate x="{}" y="{}" z=".4"/></transform>{}</shape>"""
+    lamp, dark = (f'<emitter type="area"><rgb name="radiance" value="{v}"/></emitter>' for v in (2, 0))
+    sheets = '<bsdf type="null"/>', '<bsdf type="thindielectric"/>'
+    shapes = [(-1.2, -1, lamp), (-1, -0.6, dark), (-0.3, -1, sheets[0]), (-0.1, -0.6, lamp)]
+    shapes += [(0.6, -1, sheets[1]), (0.8, -0.6, lamp), (1.5, -1, sheets[0]), (1.7, -0.6, sheets[1])]
+    text = SCENE.format(depth=5, emitter=CONSTANT, shape="".join(plate.format(*shape) for shape in shapes))
+    check(tmp_path, text.replace("</integrator>", '<boolean name="hide_emitters" value="true"/></integrator>'))
 
 
+@pytest.mark.slow
 def test_grids_of_distances(tmp_path):
     """One turned and scaled unevenly, which Mitsuba draws as an instance only, and one of glass."""
     (tmp_path / "ball.vol").write_bytes(volume(ball_of_distances(8, 0.02, 0.3)))

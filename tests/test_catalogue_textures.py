@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from test_catalogue import CONSTANT, GOLD, LAMPS, SCENE, check, rough, two
+from test_catalogue import CONSTANT, GLASS, GOLD, LAMPS, METAL, SCENE, check, principled, rough, several, two
 
 from jaxrt.files import image
 from jaxrt.files.textures import read_picture
@@ -14,6 +14,7 @@ pytestmark = [pytest.mark.peer, pytest.mark.usefixtures("short_loops")]
 @pytest.fixture
 def pictures(tmp_path):
     """Files that scenes below refer to: colours, an uneven grey, and a mesh with coordinates and attributes."""
+    import trimesh
     from PIL import Image
 
     random = np.random.default_rng(3)
@@ -38,6 +39,7 @@ def pictures(tmp_path):
     body = [" ".join(map(str, p + t + c)) for p, t, c in zip(corners, uvs, colours, strict=True)]
     body += ["3 0 1 2 .1 .8 .3", "3 0 2 3 .7 .2 .9"]
     (tmp_path / "sheet.ply").write_text("\n".join(head + body) + "\n")
+    trimesh.creation.icosahedron().export(tmp_path / "smooth.ply")
     bare = [*(f"{x} {y} {z}" for x, y, z in corners), "3 0 1 2", "3 0 2 3"]
     kept = [line for line in head if line[-2:] not in (" u", " v", " r", " g", " b")]
     (tmp_path / "bare.ply").write_text("\n".join(kept + bare) + "\n")
@@ -69,44 +71,47 @@ def turned(plugin, texture, inner):
 
 RAW = '<boolean name="raw" value="true"/>'
 TEXTURED = {
-    "bitmap": two(diffuse(bitmap("reflectance", "colours.png")), diffuse(bitmap("reflectance", "grey.png"))),
+    "bitmap": two(diffuse(bitmap("reflectance", "colours.png")), diffuse(bitmap("reflectance", "grey.png")))
+    + SHEET.format(diffuse(bitmap("reflectance", "colours.png", RAW))),
     "bitmap nearest": two(
         diffuse(bitmap("reflectance", "colours.png", TURNED + NEAREST.format("mirror"))),
         diffuse(bitmap("reflectance", "grey.png", TURNED + NEAREST.format("clamp"))),
-    ),
-    "bitmap raw": SHEET.format(diffuse(bitmap("reflectance", "colours.png", '<boolean name="raw" value="true"/>'))),
-    "checkerboard": two(diffuse(CHECKERS.format("")), diffuse(CHECKERS.format(TURNED))),
-    "vertex_color": attribute("vertex_color"),
-    "face_color": attribute("face_color"),
+    )
+    + SHEET.format(diffuse(bitmap("reflectance", "colours.png", RAW + NEAREST.format("repeat")))),
+    "checkerboard and attributes": two(diffuse(CHECKERS.format("")), diffuse(CHECKERS.format(TURNED)))
+    + attribute("vertex_color").replace("<rotate", '<translate x="-1" y="-.5"/><rotate')
+    + attribute("face_color").replace("<rotate", '<translate x=".5" y="1.5"/><rotate'),
     "roughness": two(
         rough("ggx", bitmap("alpha_u", "grey.png", RAW) + bitmap("alpha_v", "colours.png", RAW) + GOLD),
         f'<bsdf type="plastic">{bitmap("diffuse_reflectance", "colours.png")}</bsdf>',
+    )
+    + SHEET.replace("sheet", "bare")  # no coordinates
+    .format(rough("ggx", '<float name="alpha_u" value=".05"/><float name="alpha_v" value=".4"/>'))
+    .replace("<rotate", '<translate x="-1.2" y=".5"/><rotate'),
+    "principled": several(
+        principled(
+            "",
+            METAL.replace('roughness=".4" ', ""),
+            bitmap("base_color", "colours.png") + bitmap("roughness", "grey.png", RAW),
+        ),
+        principled("", GLASS),
+        principled("thin", 'spec_trans=".3" sheen="1"', bitmap("diff_trans", "grey.png", RAW)),
+        principled("thin", GLASS),
     ),
-    "no coordinates": SHEET.replace("sheet", "bare").format(
-        rough("ggx", '<float name="alpha_u" value=".05"/><float name="alpha_v" value=".4"/>')
-    ),
-    "principled": two(
-        f'<bsdf type="principled">{bitmap("base_color", "colours.png")}{bitmap("roughness", "grey.png", RAW)}</bsdf>',
-        f'<bsdf type="principledthin">{bitmap("diff_trans", "grey.png", RAW)}</bsdf>',
-    ),
-    "blendbsdf": two(
+    "blendbsdf and mask": several(
         f'<bsdf type="blendbsdf"><float name="weight" value=".3"/>{rough("ggx", GOLD)}<bsdf type="diffuse"/></bsdf>',
         f"""<bsdf type="blendbsdf">{bitmap("weight", "grey.png")}<bsdf type="plastic"/><bsdf type="blendbsdf">
         <float name="weight" value=".6"/><bsdf type="dielectric"/><bsdf type="diffuse"/></bsdf></bsdf>""",
-    ),
-    "mask": two(
         f'<bsdf type="mask">{bitmap("opacity", "grey.png")}<bsdf type="twosided"><bsdf type="diffuse"/></bsdf></bsdf>',
         '<bsdf type="mask"><float name="opacity" value=".4"/><bsdf type="conductor"/></bsdf>',
     ),
     "twosided": f"""<shape type="cylinder"><bsdf type="twosided">{diffuse(CHECKERS.format(""))}{rough("ggx", GOLD)}</bsdf>
     </shape><shape type="disk"><transform name="to_world"><rotate y="1" angle="110"/><translate x="-1.2"/></transform>
     <bsdf type="twosided">{rough("beckmann", "")}<bsdf type="diffuse"/></bsdf></shape>""",
-    "normalmap": two(
+    "normalmap and bumpmap": several(
         turned("normalmap", bitmap("normalmap", "normals.png", RAW), '<bsdf type="diffuse"/>'),
         f"""<bsdf type="twosided">{turned("normalmap", bitmap("normalmap", "normals.png", RAW), rough("ggx", GOLD))}
         </bsdf>""",
-    ),
-    "bumpmap": two(
         turned("bumpmap", bitmap("bump", "grey.png", RAW) + '<float name="scale" value=".4"/>', rough("ggx", GOLD)),
         turned(
             "bumpmap", bitmap("bump", "grey.png", RAW) + '<float name="scale" value=".2"/>', '<bsdf type="diffuse"/>'
@@ -114,7 +119,10 @@ TEXTURED = {
     ),
     "emission": two('<bsdf type="diffuse"/>', f'<emitter type="area">{bitmap("radiance", "bright.exr")}</emitter>')
     + f"""<shape type="rectangle"><transform name="to_world"><lookat origin="-2,-1,2" target="0,0,0" up="0,0,1"/>
-    </transform><emitter type="area">{bitmap("radiance", "colours.png")}</emitter></shape>""",
+    </transform><emitter type="area">{bitmap("radiance", "colours.png")}</emitter></shape>
+    <shape type="ply"><string name="filename" value="smooth.ply"/>
+    <transform name="to_world"><scale value=".5"/><translate x="-.3" y="-1.5" z=".8"/></transform>
+    <emitter type="area"><rgb name="radiance" value="6,9,3"/></emitter></shape>""",  # dark where vertex normals turn away
 }
 
 CHECKERS_IN = '<texture type="checkerboard" name="{}">{}</texture>'
@@ -139,7 +147,7 @@ TEXTURED["nested"] = (
 
 @pytest.mark.parametrize("name", TEXTURED)
 def test_textures(name, tmp_path, pictures):
-    check(tmp_path, SCENE.format(depth=3, emitter=CONSTANT, shape=TEXTURED[name]))
+    check(tmp_path, SCENE.format(depth=5, emitter=CONSTANT, shape=TEXTURED[name]))
 
 
 ENVMAP = """<emitter type="envmap"><string name="filename" value="{}"/><float name="scale" value=".5"/>

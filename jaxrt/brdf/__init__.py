@@ -94,6 +94,16 @@ def has_delta(lobes: tuple[str, ...]) -> bool:
     return any(LOBES[name].delta for name in lobes)
 
 
+def has_straight(lobes: tuple[str, ...]) -> bool:
+    return any(LOBES[name].straight for name in lobes)
+
+
+def is_straight(lobes: tuple[str, ...], m: Material, wi: Vec3, wo: Vec3) -> Any:
+    """Whether light from ω_i goes to ω_o through the surface as if it were not there."""
+    able = _select(lobes, m, [jnp.full(jnp.shape(wo.z), LOBES[name].straight) for name in lobes])
+    return able & (wi.z * wo.z < 0)
+
+
 def delta_weight(lobes: tuple[str, ...], m: Material, wi: Vec3, wo: Vec3) -> Spectrum:
     """Radiance towards ω_o per incident radiance of the deltas, over the chance of their direction; 0 for others."""
     zero = m.reflectance * 0.0
@@ -109,5 +119,6 @@ def delta_weight(lobes: tuple[str, ...], m: Material, wi: Vec3, wo: Vec3) -> Spe
 
 __all__ = [
     "ALBEDOS", "DERIVED", "LOBES", "MAPPED", "NODES", "NUMBERS", "SPECTRA", "Lobe", "Material", "MaterialColumns",
-    "chooses", "cosine", "delta_weight", "derive", "eval", "has_delta", "is_translucent", "pdf", "sample",
+    "chooses", "cosine", "delta_weight", "derive", "eval", "has_delta", "has_straight", "is_straight", "is_translucent",
+    "pdf", "sample",
 ]  # fmt: skip

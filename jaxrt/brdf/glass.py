@@ -63,7 +63,14 @@ def _nothing_weight(m: Any, wi: Vec3, wo: Vec3) -> Spectrum:
 
 FIELDS = ("reflectance", "transmittance", "ior")
 SOLID = Lobe("glass", 5, FIELDS, _solid, weight=_solid_weight, delta=True, transmits=True)
-THIN = Lobe("thin_glass", 6, FIELDS, _thin, weight=_thin_weight, delta=True, transmits=True)
+THIN = Lobe("thin_glass", 6, FIELDS, _thin, weight=_thin_weight, delta=True, transmits=True, straight=True)
 NOTHING = Lobe(
-    "nothing", 7, ("reflectance", "transmittance"), _nothing, weight=_nothing_weight, delta=True, transmits=True
+    "nothing",
+    7,
+    ("reflectance", "transmittance"),
+    _nothing,
+    weight=_nothing_weight,
+    delta=True,
+    transmits=True,
+    straight=True,
 )

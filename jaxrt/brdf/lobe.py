@@ -32,7 +32,7 @@ class Lobe:
     (radiance per incident radiance, over the chance of that direction), and says which samples are the delta's: all
     of them, where it has nothing else. Densities are the chance of the rest times its density. `u` are two uniform
     numbers for a direction, and one more where a lobe of the plan `chooses`. `transmits`: some light goes through.
-    `derive`: of a row, the fields in `DERIVED` that the lobe reads.
+    `straight`: all that goes through does so unturned. `derive`: of a row, the fields in `DERIVED` that the lobe reads.
     """
 
     name: str
@@ -45,6 +45,7 @@ class Lobe:
     delta: bool = False
     is_delta: Callable[[Any, Vec3, tuple[Any, ...]], Any] = _every
     transmits: bool = False
+    straight: bool = False
     translucent: bool = False
     chooses: bool = False
     derive: Callable[[Any], dict[str, Any]] | None = None

@@ -8,6 +8,7 @@ is of all directions so drawn, also of those that have no value.
 
 from __future__ import annotations
 
+import functools
 from typing import Any
 
 import jax.numpy as jnp
@@ -17,7 +18,7 @@ from jax.lax import stop_gradient as sg
 from ..radiometry import LUMINANCE
 from ..sampling.warp import circle, cosine_hemisphere
 from ..vector import Spectrum, Vec3, dot, normalise, safe_sqrt, where
-from . import ggx
+from . import ggx, rough
 from .fresnel import dielectric
 from .lobe import Lobe
 from .material import Material
@@ -65,19 +66,13 @@ def reflected(m: Any, metallic: Any, ratio: Any, cos: Any) -> tuple[Spectrum, An
     return m.reflectance.map(one, tint(m.reflectance)), clear
 
 
-def masked(rough: Material, w: Vec3) -> Any:
-    """G₁/(2 |cosθ|), Smith's."""
-    return 1.0 / ggx.positive(jnp.abs(w.z) + ggx.length(rough, w))
+glint = functools.partial(rough.reflected, rough.GGX)
+"""D G₁ G₁ / (4 cosθ_i cosθ_o) of microfacets, for h, ω_i and ω_o."""
 
 
-def glint(rough: Material, h: Vec3, i: Vec3, o: Vec3) -> Any:
-    """D G₁ G₁ / (4 cosθ_i cosθ_o)."""
-    return ggx.distribution(rough, h) * masked(rough, i) * masked(rough, o)
-
-
-def glint_density(rough: Material, h: Vec3, o: Vec3) -> Any:
+def glint_density(m: Material, h: Vec3, o: Vec3) -> Any:
     """Of mirror directions about the normals that o sees, h half-way between the two."""
-    return jnp.where(h.z > 0, 0.5 * ggx.distribution(rough, h) * masked(rough, o), 0.0)
+    return jnp.where(h.z > 0, 0.5 * ggx.distribution(m, h) * rough.GGX.masked(m, o), 0.0)
 
 
 def paint(m: Any, h: Vec3, i: Vec3, o: Vec3, body: Any, sheen: Any) -> Spectrum:
@@ -123,9 +118,9 @@ def _coat_distribution(m: Any, h: Vec3) -> Any:
 
 
 def _coat(m: Any, ratio: Any, h: Vec3, i: Vec3, o: Vec3) -> Any:
-    cos, rough = dot(o, h), Material(alpha=(0.25, 0.25))
+    cos, masked = dot(o, h), functools.partial(rough.GGX.masked, Material(alpha=(0.25, 0.25)))
     f = 0.04 + 0.96 * schlick(jnp.where(ratio > 1.0, cos, dielectric(ratio, cos)[1]))
-    return m.clearcoat * f * _coat_distribution(m, h) * jnp.abs(i.z) * o.z * masked(rough, i) * masked(rough, o)
+    return m.clearcoat * f * _coat_distribution(m, h) * jnp.abs(i.z) * o.z * masked(i) * masked(o)
 
 
 def _bent(ratio: Any, i: Vec3, o: Vec3) -> tuple[Vec3, Any, Any, Any]:
@@ -140,12 +135,12 @@ def _bent(ratio: Any, i: Vec3, o: Vec3) -> tuple[Vec3, Any, Any, Any]:
 
 def eval(m: Any, wi: Vec3, wo: Vec3) -> Spectrum:
     side, ratio = _sides(m, wo)
-    i, o, rough = mirrored(side, wi), mirrored(side, wo), facets(m, m.roughness)
+    i, o, micro = mirrored(side, wi), mirrored(side, wo), facets(m, m.roughness)
     up, opaque = i.z > 0, 1.0 - m.metallic
     bent, ci, co, n = _bent(ratio, i, o)
     h = where(up, normalise(i + o), bent)
     shine, through = _split(m, side, ratio, jnp.where(up, dot(o, h), co))
-    seen = glint(rough, h, i, o)
+    seen = glint(micro, h, i, o)
     layers = paint(m, h, i, o, opaque * (1.0 - m.spec_trans), opaque * m.sheen) + _coat(m, ratio, h, i, o)
     above = shine * seen + layers.map(lambda c: jnp.where(side > 0, c, 0.0))
     f = where(up, above, through * (seen * 4.0 * ci * co / n))
@@ -173,9 +168,9 @@ def _through(m: Any, side: Any, ratio: Any, cos: Any) -> Any:
 def sample(m: Any, wo: Vec3, u: tuple[Any, ...]) -> Vec3:
     m, wo = sg((m, wo))  # directions and densities are held fixed
     side, ratio = _sides(m, wo)
-    o, rough = mirrored(side, wo), facets(m, m.roughness)
+    o, micro = mirrored(side, wo), facets(m, m.roughness)
     facet, coat = _chances(m, side, ratio, o)
-    h = ggx.visible_normal(rough.alpha, o, u)
+    h = ggx.visible_normal(micro.alpha, o, u)
     cos = jnp.maximum(dot(o, h), 0.0)
     refracted = h * (cos / ratio - dielectric(ratio, cos)[1]) - o * (1.0 / ratio)
     a2, (c, s) = _coat_roughness(m) ** 2, circle(u[0])
@@ -190,15 +185,15 @@ def sample(m: Any, wo: Vec3, u: tuple[Any, ...]) -> Vec3:
 def pdf(m: Any, wi: Vec3, wo: Vec3) -> Any:
     m, wi, wo = sg((m, wi, wo))
     side, ratio = _sides(m, wo)
-    i, o, rough = mirrored(side, wi), mirrored(side, wo), facets(m, m.roughness)
+    i, o, micro = mirrored(side, wi), mirrored(side, wo), facets(m, m.roughness)
     facet, coat = _chances(m, side, ratio, o)
     h = normalise(i + o)
     cos = dot(o, h)
-    p = facet * (1.0 - _through(m, side, ratio, cos)) * glint_density(rough, h, o)
+    p = facet * (1.0 - _through(m, side, ratio, cos)) * glint_density(micro, h, o)
     p = p + coat * _coat_distribution(m, h) * jnp.abs(h.z) / (4.0 * ggx.positive(cos))
     p = p + (1.0 - facet - coat) * jnp.maximum(i.z, 0.0) / np.pi
     h, ci, co, n = _bent(ratio, i, o)
-    seen = ggx.visible_density(rough.alpha, h, o) * jnp.where(co > 0, 1.0, 0.0)
+    seen = ggx.visible_density(micro.alpha, h, o) * jnp.where(co > 0, 1.0, 0.0)
     return p + facet * _through(m, side, ratio, co) * seen * ci * ratio * ratio / n
 
 

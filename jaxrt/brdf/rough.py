@@ -19,14 +19,14 @@ from .lobe import Lobe
 
 
 class Normals(NamedTuple):
-    """How facets are turned: D(h), and of a direction above the surface G₁/(2 cosθ)."""
+    """How facets are turned: D(h), and of a direction above the surface G₁/(2 cosθ); GGX's also of those below."""
 
     distribution: Callable[[Any, Vec3], Any]
     masked: Callable[[Any, Vec3], Any]
 
 
 def _smith(m: Any, w: Vec3) -> Any:
-    return 1.0 / ggx.positive(w.z + ggx.length(m, w))
+    return 1.0 / ggx.positive(jnp.abs(w.z) + ggx.length(m, w))
 
 
 def _beckmann(m: Any, h: Vec3) -> Any:

@@ -17,7 +17,7 @@ from jax.lax import stop_gradient as sg
 
 from ..sampling.warp import cosine_hemisphere
 from ..vector import Spectrum, Vec3, dot, normalise, safe_sqrt, where
-from . import ggx, rough
+from . import ggx, plastic, rough
 from .fresnel import dielectric
 from .lobe import Lobe
 from .material import DERIVED
@@ -102,11 +102,7 @@ def _enters(normals: rough.Normals, m: Any, w: Vec3) -> Any:
 
 
 def _chance(normals: rough.Normals, m: Any, wo: Vec3) -> Any:
-    """Of drawing a facet, as in `plastic`."""
-    enters = _enters(normals, m, wo)
-    coat, paint = (jnp.maximum(sum(c.channels), 0.05) for c in (m.specular, m.reflectance))
-    shine, rest = (1.0 - enters) * coat, enters * paint
-    return sg(shine / (shine + rest))
+    return plastic.chance_of(m, 1.0 - _enters(normals, m, wo))
 
 
 def _sample(normals: rough.Normals, m: Any, wo: Vec3, u: tuple[Any, ...]) -> Vec3:
@@ -121,9 +117,8 @@ def _pdf(normals: rough.Normals, m: Any, wi: Vec3, wo: Vec3) -> Any:
 def _eval(normals: rough.Normals, m: Any, wi: Vec3, wo: Vec3) -> Spectrum:
     h = normalise(wi + wo)
     shine = dielectric(m.ior, jnp.clip(dot(h, wo), 0.0, 1.0))[0] * rough.reflected(normals, m, h, wi, wo)
-    paint = m.reflectance.map(lambda c: c / (1.0 - m.inside * jnp.where(m.nonlinear > 0.5, c, 1.0)))
     enters = _enters(normals, m, wi) * _enters(normals, m, wo)
-    return m.specular * shine + paint * (enters / (np.pi * m.ior * m.ior))
+    return m.specular * shine + plastic.paint(m, m.inside) * (enters / (np.pi * m.ior * m.ior))
 
 
 FIELDS = ("alpha", "reflectance", "specular", "ior", "nonlinear", *DERIVED)

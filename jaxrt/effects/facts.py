@@ -143,6 +143,14 @@ class Facts:
         """Kinds of the faces that emit."""
         return tuple(KINDS[k] for k in np.unique(np.searchsorted(np.cumsum(self.scene.blocks), self.lights, "right")))
 
+    @cached_property
+    def smooth_lights(self) -> list[str]:
+        """Names of the emitters of faces that have vertex normals."""
+        scene, faces = self.scene, self.lights[self.lights < self.scene.blocks[0]]
+        bent = np.abs(np.asarray(scene.normals)[np.asarray(scene.triangles)[faces]]).any((1, 2))
+        finish = np.asarray(scene.shape_finish)[np.asarray(scene.face_shape)[faces[bent]]]
+        return self.of_lights(np.unique(np.asarray(scene.finishes)[finish, 1]).tolist())
+
     @property
     def nearest(self) -> bool:
         """Whether a bitmap is looked up without interpolation."""

@@ -38,6 +38,11 @@ def _area_light(facts: Facts, chosen: Chosen) -> Found:
     return Found(False, "all dark", _dark(facts, "area_light", facts.light_rows))
 
 
+def _smooth(facts: Facts, chosen: Chosen) -> Found:
+    owners = facts.smooth_lights
+    return Found(bool(owners), f"vertex normals of {named(owners, 'emitter')}" if owners else "no such emitter")
+
+
 def _lamp(kind: str) -> Effect:
     def find(facts: Facts, chosen: Chosen) -> Found:
         here = (facts.lamp_rows > 0) & (facts.lamps[:, 8] == LAMPS.index(kind))
@@ -59,6 +64,8 @@ def _sampling(facts: Facts, chosen: Chosen) -> Found:
 
 
 def _solid_angle(facts: Facts, chosen: Chosen) -> Found:
+    if chosen["smooth_lights"]:
+        return Found(False, "they are sampled by the cosines of their vertex normals")
     pays = chosen["light_sampling"] and solid_angle_pays(facts.scene, facts.lights)
     return Found(pays, "they are large and near" if pays else "none is large and near")
 
@@ -79,6 +86,13 @@ EFFECTS = (
         lambda facts, chosen: {"area_light": True},
         able=lambda facts, chosen: facts.lights.size > 0,
     ),
+    Effect(
+        "smooth_lights",
+        _smooth,
+        lambda facts, chosen: {"smooth_lights": True},
+        ("smooth_normals", "area_light"),
+        able=lambda facts, chosen: False,
+    ),
     *(_lamp(kind) for kind in LAMPS),
     Effect(
         "light_sampling",
@@ -88,7 +102,12 @@ EFFECTS = (
         changes=False,
     ),
     Effect(
-        "solid_angle", _solid_angle, lambda facts, chosen: {"solid_angle": True}, ("light_sampling",), changes=False
+        "solid_angle",
+        _solid_angle,
+        lambda facts, chosen: {"solid_angle": True},
+        ("light_sampling",),
+        able=lambda facts, chosen: not chosen["smooth_lights"],
+        changes=False,
     ),
     Effect(
         "light_selection",

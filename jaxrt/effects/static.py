@@ -46,6 +46,7 @@ class Plan:
     depth: int = 0  # how many of those stand inside one another, at most
     textured_lights: bool = False
     smooth_normals: bool = False
+    smooth_lights: bool = False  # whether a face that emits has vertex normals
     light_kinds: tuple[str, ...] = ()  # kinds of faces that emit
     lamp_kinds: tuple[str, ...] = ()  # of lamps without extent
     web: int = 0  # angles of the finest photometric web

@@ -2,6 +2,8 @@
 
 Spheres are sampled by the cone that they subtend, triangles and parallelograms by their solid angle where the
 plan says that it pays, all else by area; flat ones more densely towards the corners that light the point more.
+Faces with vertex normals light, and have densities, by the cosine of these, as Mitsuba's: by the face's own cosine
+they would be a little brighter or darker (3 % under an icosahedron, .4 % in the mean).
 Densities are over solid angle at the lit point; sampling and densities are held fixed under differentiation.
 """
 
@@ -19,9 +21,9 @@ from ..gradient.material import towards
 from ..radiometry import one_minus_cos
 from ..sampling import warp
 from ..sampling.sobol import Drawn, Stream
-from ..surface import SurfacePoint, _row, _vec, textured
+from ..surface import SurfacePoint, _row, _vec, light_normal, textured
 from ..texture import Place
-from ..vector import Frame, Spectrum, Vec3, cross, dot, normalise, safe_sqrt, where
+from ..vector import Frame, Spectrum, Vec3, cross, dot, length, normalise, safe_sqrt, where
 from ..world import FACE, FEW_LIGHTS, World
 from . import delta, spherical
 
@@ -175,7 +177,11 @@ def _of_face(world: World, x: Vec3, row: Any, face: Any, u: tuple[Any, Any], n: 
                 four = kind == "parallelogram"
                 f, g, cone = spherical.sample(x, o, f1, f2, four, u)
                 uv, more = where(cone > 0, ((f, g), 0.0 * more + 1.0), (uv, more))
-            one = (_vec(attached, 0) + e1 * uv[0] + e2 * uv[1], front, cross(e1, e2), cone, more)
+            normal, area = front, cross(e1, e2)
+            if plan.smooth_lights:
+                normal = light_normal(world, face, *uv, front)
+                area = normal * length(area)
+            one = (_vec(attached, 0) + e1 * uv[0] + e2 * uv[1], normal, area, cone, more)
             on_face = uv, front, 0.0 * u[0]
         one = (one, on_face if plan.textured_lights else None)
         found = one if found is None else where(face >= world.first(kind), one, found)
@@ -220,7 +226,7 @@ def density(world: World, x: Vec3, y: SurfacePoint, w: Vec3) -> Any:
     around = y.light_density * world.environment.pdf(w) if world.environment is not None else 0.0
     if not world.plan.light_kinds:
         return jnp.where(y.face < 0, around, 0.0)
-    cos = -dot(y.normal, w)
+    cos = -dot(y.shading if world.plan.smooth_lights else y.normal, w)
     hit = jnp.isfinite(y.distance) & (cos > 0)
     distance = jnp.where(hit, y.distance, 1.0)
     pdf = _per_area(y.light_density, distance * distance, cos)

@@ -16,8 +16,8 @@ import jax.numpy as jnp
 from jax.lax import stop_gradient as sg
 
 from ..scene import KINDS
-from ..surface import Shading, SurfacePoint
-from ..vector import Spectrum, Vec3, cross, dot, normalise, where
+from ..surface import Shading, SurfacePoint, light_normal
+from ..vector import Spectrum, Vec3, cross, dot, length, normalise, where
 from ..world import World
 
 
@@ -70,6 +70,8 @@ def emitter_point(world: World, x: SurfacePoint) -> tuple[Vec3, Vec3]:
                 along = sg(dot(x.position - o, a) / jnp.where(here, dot(a, a), 1.0))
                 there, patch = o + a * along + out * radius, out * (radius * jnp.sqrt(jnp.where(here, dot(a, a), 1.0)))
             y, area = where(here, there, y), where(here, patch, area)
+    if world.plan.smooth_lights:
+        area = light_normal(world, jnp.maximum(x.face, 0), u, v, normalise(area)) * length(area)
     return y, area
 
 

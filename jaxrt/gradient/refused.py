@@ -26,6 +26,8 @@ def check(plan: Any, view: str, deep: bool, lamps: bool, places: bool) -> None:
         why = "outlines seen in curved mirrors or through glass"
     elif plan.stepped and plan.coordinates:
         why = "borders inside textures that jump (checkerboards, bitmaps looked up by nearest); use bilinear bitmaps"
+    elif plan.smooth_lights:
+        why = "where lamps turn dark by their vertex normals; make those lamps without normals"
     elif plan.hide_emitters and view in CAMERAS:
         why = "outlines of emitters that are hidden from the camera; set hide_emitters to false"
     if why is None and view in ("batch", "distant"):

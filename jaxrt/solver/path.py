@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 from jax.lax import stop_gradient as sg
 
-from .. import emitter
+from .. import brdf, emitter
 from ..compiler import one_function
 from ..gradient import material
 from ..rules import balance, light_node, met_share, reflected, reflection_density, reflection_node
@@ -53,6 +53,7 @@ class PathState(eqx.Module):
     alive: Any
     before: Vec3 | None = None  # under differentiation: the point that reflected last, and its `slope`
     slopes: tuple[Vec3, ...] | None = None
+    clear: Any = None  # where emitters may be hidden behind what lets light straight through: whether all so far did
     scattered: Any = None  # with a field: whether the path has left a diffuse surface
 
 
@@ -68,6 +69,7 @@ def start(world: World, o: Vec3, d: Vec3, depth: int = 0) -> PathState:
         delta=jnp.ones(one.shape, bool),
         depth=jnp.full(one.shape, depth, jnp.int32),
         alive=jnp.ones(one.shape, bool),
+        clear=jnp.ones(one.shape, bool) if world.plan.hide_emitters and brdf.has_straight(world.plan.lobes) else None,
     )
 
 
@@ -144,13 +146,15 @@ def _land(world: World, depths: Depths, state: PathState, s: Stream, face: Any) 
         emits = (x.light_density > 0) | (x.face < 0)
         passed = state.alive & (state.depth == 0) & depths.hide_emitters & emits
     seen = state.alive & ~passed & (depths.max_depth != 0) & (state.depth >= 0)
+    follows = (state.depth + 1 < depths.max_depth) | (depths.max_depth < 0)
+    if state.clear is not None:  # as Mitsuba: lamps are seen there, but not the enclosure
+        seen = seen & ~(state.clear & depths.hide_emitters & ((x.face < 0) | ~follows))
     met = state.beta * radiance_of(world, x, wo) * share
     if state.before is not None and state.slopes is not None and plan.lights:
         met = met * material.met(
             world, state.before, x, state.slopes, seen & ~state.delta & (x.light_density > 0) & (x.face >= 0)
         )
     radiance = state.radiance + met.map(lambda c: jnp.where(seen, c, 0.0))
-    follows = (state.depth + 1 < depths.max_depth) | (depths.max_depth < 0)
     alive = state.alive & ~passed & (x.face >= 0) & follows
     landing = Landing(x, s, passed, alive, radiance)
     if not plan.bounces:
@@ -188,6 +192,9 @@ def _reflect(world: World, depths: Depths, state: PathState, landing: Landing, n
     if state.before is None and not world.plan.enclosure:  # the last ray can only meet a lamp
         alive = alive & ((depth + 1 != depths.max_depth) | emitter.may_meet(world, o, node.w))
     follow = PathState(o, node.w, beta, radiance, node.pdf, node.delta, depth, alive)
+    if state.clear is not None:
+        clear = state.clear & brdf.is_straight(world.plan.lobes, at.material, at.to_local(node.w), at.wo)
+        follow = replace(follow, clear=clear)
     if state.scattered is not None:
         follow = replace(follow, scattered=state.scattered | is_diffuse(world, at))
     if state.before is not None:

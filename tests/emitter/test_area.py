@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers import frame, mean_and_error, moved
+from helpers import camera, frame, mean_and_error, moved
 
 import jaxrt
 from jaxrt import emitter
@@ -393,3 +393,18 @@ def test_samples_beyond_the_enclosure_have_no_density():
     np.testing.assert_array_equal(p[face == numbers["dark"]], 0)
     front = face == numbers["sphere"]
     assert front.any() and (p[front] > 0).all()
+
+
+def test_faces_emit_about_their_vertex_normals():
+    """A triangle of area A far away, whose normals lean by 60°: E = L A cos 60°/d², and nothing beyond their horizon."""
+    normals = np.tile([np.sin(np.pi / 3), 0.0, -np.cos(np.pi / 3)], (3, 1))
+    vertices = np.array([(-0.1, -0.1, 0), (-0.1, 0.1, 0), (0.1, 0, 0.0)]) + [0.1 / 3, 0, 0]  # about its middle
+    lamp = jaxrt.Mesh(vertices=vertices, faces=np.array([[0, 1, 2]]), normals=normals, emission=2.0, id="lamp")
+    scene = jaxrt.Scene.build([lamp], sensors=[camera((0, 0, -4), (0, 0, 0), 2, 2, 1.0, up=(0, 1, 0))])
+    got = jaxrt.irradiance(scene, [[0.0, 0, -5], [-5.0, 0, -1]], [[0.0, 0, 1], [1.0, 0, 0]], spp=1024)[:, 0]
+    np.testing.assert_allclose(got, [2.0 * 0.02 * 0.5 / 25, 0.0], rtol=5e-3)
+    seen = lambda x: jaxrt.measure(
+        jaxrt.with_params(scene, {"lamp.vertices": vertices + x[None]}), 0, spp=1, max_depth=1
+    )
+    with pytest.raises(jaxrt.SceneError, match="dark by their vertex normals"):
+        jax.jvp(seen, (jnp.zeros(3),), (jnp.ones(3),))
