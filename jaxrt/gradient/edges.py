@@ -20,7 +20,7 @@ from .. import brdf
 from ..scene import Scene
 from ..vector import Vec3, cross, dot, length, normalise, safe_sqrt, where
 from ..world import World
-from . import curves
+from . import curves, cuts
 
 CORNERS = {"triangle": ((0, 0), (1, 0), (0, 1)), "parallelogram": ((0, 0), (1, 0), (1, 1), (0, 1))}
 """Coordinates of a face's corners, in order."""
@@ -30,11 +30,12 @@ FLAT = 1e-4
 
 
 class Edges(eqx.Module):
-    """Straight edges of M in world space, those that are there first. All of it held fixed.
+    """Straight edges of M in world space. All of it held fixed.
 
     `ends`: both ends (m); `beside`: of each face at the edge a point off it, the same twice at a border; `uv`:
     coordinates of the ends on the first face. A `crease` bends enough for radiance to jump across it even where
-    both faces are seen; other edges matter where one face hides the other.
+    both faces are seen; other edges matter where one face hides the other. The last `cuts` rows are lines along which
+    two faces cut through each other.
     """
 
     ends: Float[Array, "E 6"]
@@ -43,9 +44,10 @@ class Edges(eqx.Module):
     faces: Int32[Array, "E 2"]
     border: Bool[Array, " E"]
     crease: Bool[Array, " E"]
-    count: Int32[Array, ""]
+    there: Bool[Array, " E"]
     mirrors: Float[Array, " P"] | None  # chance of each face, by area, to be the flat mirror in which edges are seen
     blocks: tuple[int, ...] = eqx.field(static=True)  # of faces, by kind: curved ones have outlines of their own
+    cuts: int = eqx.field(static=True, default=0)
 
     @property
     def curved(self) -> bool:
@@ -75,9 +77,12 @@ class Edges(eqx.Module):
         """The point at t on edge j, or on the curve of number j − E as seen from x, that moves with M."""
         y = None
         if len(self.faces):
-            uv = self.uv.at[j].get(mode="clip")
-            on_face = uv[0] + (uv[2] - uv[0]) * t, uv[1] + (uv[3] - uv[1]) * t
-            y = edge_point(world, self.faces.at[j].get(mode="clip")[0], on_face)
+            uv, faces = self.uv.at[j].get(mode="clip"), self.faces.at[j].get(mode="clip")
+            o, a, b = face = corners(world, faces[0])
+            y = o + a * (uv[0] + (uv[2] - uv[0]) * t) + b * (uv[1] + (uv[3] - uv[1]) * t)
+            if self.cuts:
+                cut = (j >= len(self.faces) - self.cuts) & (j < len(self.faces))
+                y = where(cut, cuts.attach(face, corners(world, faces[1]), y), y)
         if not self.curved:
             assert y is not None
             return y
@@ -88,7 +93,7 @@ class Edges(eqx.Module):
     def chance(self) -> Any:
         """Of each edge by its length, for candidates where there are many."""
         along = self.ends[:, 3:] - self.ends[:, :3]
-        long = jnp.sqrt((along * along).sum(-1)) * (jnp.arange(len(self.ends)) < self.count)
+        long = jnp.sqrt((along * along).sum(-1)) * (self.there)
         return long / jnp.maximum(long.sum(), 1e-30)
 
 
@@ -136,7 +141,8 @@ def edges_of(scene: Scene, world: World) -> Edges:
     if sum(scene.blocks[:2]) == 0:
         none = lambda n: jnp.zeros((0, n), geometry.dtype)
         no = jnp.zeros(0, bool)
-        return Edges(none(6), none(6), none(4), none(2).astype(int), no, no, jnp.int32(0), mirrors, scene.blocks)
+        return Edges(none(6), none(6), none(4), none(2).astype(int), no, no, no, mirrors, scene.blocks)
+    flat = tuple(enumerate(scene.blocks[:2]))
     at, face, uv, real, normals = _halves(scene)
     h = len(face)
     shape = scene.face_shape[face]
@@ -169,18 +175,22 @@ def edges_of(scene: Scene, world: World) -> Edges:
     smooth = jnp.abs(normals[one]).sum(-1) > 0
     even = ~border & smooth & (jnp.abs(normals[one] - flipped) < 1e-6).all(-1)
     there = first & ~(straight & (even | ~smooth))
-    keep = jnp.argsort(~there, stable=True)
-    return Edges(
-        ends=jnp.concatenate([p, q], -1)[keep],
-        beside=jnp.concatenate([off, off_other], -1)[keep],
-        uv=places[keep, :4],
-        faces=faces[keep],
-        border=border[keep],
-        crease=(~even)[keep],
-        count=there.sum(),
-        mirrors=mirrors,
-        blocks=scene.blocks,
-    )
+    rows = [
+        jnp.concatenate([p, q], -1),
+        jnp.concatenate([off, off_other], -1),
+        places[:, :4],
+        faces,
+        border,
+        ~even,
+        there,
+    ]
+    found = cuts.lines(geometry, scene.blocks, jnp.concatenate([jnp.arange(n) < scene.counts[k] for k, n in flat]))
+    if found is not None:
+        ends, uv, faces, there = found
+        aside = jnp.concatenate([ends[:, :3] + 1.0, ends[:, :3] - 1.0], -1)  # on both sides: these hide nothing
+        more = ends, aside, uv, faces, ~there & there, there, there
+        rows = [jnp.concatenate(pair) for pair in zip(rows, more, strict=True)]
+    return Edges(*rows, mirrors=mirrors, blocks=scene.blocks, cuts=0 if found is None else len(found[0]))
 
 
 def _mirrors(scene: Scene, world: World) -> Any:
@@ -306,9 +316,3 @@ def hides(edges: Edges, j: Any, x: Vec3, pole: Vec3, plane: Plane | None = None)
     """Whether edge j (or its image in a mirror) is an outline as seen from x: M lies on one side of it only."""
     s, t = (dot(pole, p - x) for p in two_points(edges.beside[j], plane))
     return edges.border[j] | (s * t > 0)
-
-
-def edge_point(world: World, face: Any, uv: tuple[Any, Any]) -> Vec3:
-    """The point of a flat face at coordinates (u, v) that moves with the face."""
-    o, a, b = corners(world, face)
-    return o + a * uv[0] + b * uv[1]

@@ -65,7 +65,7 @@ class OnFilm(eqx.Module):
                 low = jnp.maximum(low, jnp.where(step == 0, jnp.where(out, 1.0, 0.0), jnp.minimum(s, t)))
                 high = jnp.minimum(high, jnp.where(step == 0, 1.0, jnp.maximum(s, t)))
             long = jnp.sqrt((b[0] - a[0]) ** 2 + (b[1] - a[1]) ** 2) * jnp.maximum(high - low, 0.0)
-            seen = ~gone & (j < edges.count) & jnp.isfinite(long)
+            seen = ~gone & edges.there[j] & jnp.isfinite(long)
             if view.sensor.kind == "perspective":  # else an edge is seen from several sides
                 seen &= edges.crease[j] | edge.hides(edges, j, eye, edge.arc_of((p, q), eye, None).pole)
             else:

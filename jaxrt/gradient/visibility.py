@@ -100,7 +100,7 @@ def choose(
     def weigh(j: Any, scale: Any) -> list[Any]:
         arc = edge.arc_of(edge.two_points(edges.ends[j], plane), x, n)
         seen = edge.hides(edges, j, x, arc.pole, plane)
-        seen = (seen | edges.crease[j] if creases else seen) & (j < edges.count)
+        seen = (seen | edges.crease[j] if creases else seen) & edges.there[j]
         rate = scale / jnp.maximum(arc.distance, world.epsilon)
         ranges = [arc.within(c) for c in cones]
         return [jnp.where(seen & (high > low), rate * (high - low), 0.0) for low, high in ranges]
