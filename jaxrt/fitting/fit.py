@@ -1,0 +1,227 @@
+"""Scenes fitted to pictures."""
+
+from __future__ import annotations
+
+import contextlib
+import sys
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+
+from ..effects import Plan, fitting
+from ..effects import plan as make_plan
+from ..parts import SceneError
+from ..scene import Scene
+from ..solver.measure import depths_of
+from . import checkpoint as files
+from .losses import loss_of
+from .parameters import Free
+from .result import Fit
+from .steps import FORWARD, Descent, LeastSquares
+from .views import Measuring, checked, views_of
+
+EVERY = 30.0
+"""Seconds between checkpoints."""
+
+FEW = 64
+"""Numbers of a parameter up to which the history has its values."""
+
+RATE, STEPS, SQUARES = 0.05, 200, 20
+"""Adam's first step where no optimiser is given; steps of descent and of least squares."""
+
+
+def fit(
+    scene: Scene,
+    targets: Any,
+    free: str | Iterable[str] | Mapping[str, Any],
+    *,
+    sensor: int | Sequence[int] = 0,
+    loss: str | Callable[..., Any] = "l2",
+    optimiser: Any = None,
+    steps: int | None = None,
+    spp: int = 16,
+    seed: int = 0,
+    frozen: bool | None = None,
+    unbiased: bool | None = None,
+    pixels: int | None = None,
+    coarse: Sequence[tuple[int, int]] = (),
+    max_depth: int | None = None,
+    forward: bool | None = None,
+    boundary: bool = True,
+    plan: Plan | None = None,
+    checkpoint: str | Path | None = None,
+    resume: bool = False,
+    progress: bool | Callable[[int, float, dict[str, Any]], None] | None = None,
+) -> Fit:
+    """The scene with some of its parameters changed so that its pictures come close to targets.
+
+    `targets`: (H, W, C), radiance in W·m⁻²·sr⁻¹; with `sensor` a list, as many of them. `free`: names or patterns of
+    parameters ("*.reflectance"), or a mapping from these to what keeps them in bounds: "unit", "positive",
+    (lower, upper), "rigid" (of a to_world), "smooth" or `Smooth(λ)` (of vertices), "plain"; by default by name.
+
+    `loss`: "l2", "relative" ((I − T)/√(T² + ε)), "log", "multiscale" (l2 of the picture and of halves down to one
+    pixel), each a mean of squares, or a function (image, target) -> a loss, or residuals. `optimiser`: of optax, by
+    default Adam whose steps fall from .05 to 0 by a cosine, or least squares of optimistix, as
+    `LevenbergMarquardt(1e-3, 1e-5)`. `steps`: 200, or 20 of least squares at most. `coarse`: (factor, steps) that go
+    before these with pictures so many times smaller, as [(4, 50), (2, 50)].
+
+    `spp`: samples a pixel and step; anew each step, or `frozen`, as least squares always has them. `unbiased`: these
+    in two halves, so that noise does not move the minimum; by default where the loss is l2, relative or multiscale and
+    samples are not frozen. `pixels`: so many of each picture a step, drawn at random. `forward`: forward mode, by
+    default up to 4 numbers. `max_depth`, `boundary`, `plan` as of `measure`; the plan by default `plan(scene, free)`.
+
+    `checkpoint`: a file that is kept up to date and from which `resume` goes on, to the same bits. `progress`: a bar, by
+    default where stderr is a terminal, or a function (step, loss, values). Raises `SceneError` for unknown names,
+    targets of other shapes, values out of bounds and what derivatives refuse.
+    """
+    started = time.perf_counter()
+    pairs = checked(scene, targets, sensor)
+    chosen = Free.of(scene, free)
+    squares, optimiser, steps = _optimiser(optimiser, steps, sum(n for _, n in _checked_coarse(coarse)))
+    kind = loss_of(loss)
+    if squares and frozen is False:
+        raise SceneError("frozen: least squares compares residuals of one step and the next; leave it out, or take optax")
+    if squares and (pixels is not None or unbiased):
+        raise SceneError("pixels, unbiased: least squares takes whole pictures and each once; leave them out")
+    if pixels is not None and not kind.local:
+        raise SceneError(f"pixels: loss {loss!r} takes whole pictures; leave pixels out, or give l2, relative or log")
+    if unbiased and not kind.linear:
+        raise SceneError(f"unbiased: loss {loss!r} is not quadratic; leave it out, or give l2, relative or multiscale")
+    for name, value in {"spp": spp, "pixels": 1 if pixels is None else pixels}.items():
+        if not isinstance(value, (int, np.integer)) or value < 1:
+            raise SceneError(f"{name}: is {value}; give a whole number of at least 1")
+    depth = depths_of(scene, max_depth).max_depth
+    if depth < 0:
+        raise SceneError("max_depth: derivatives need a finite number of bounces; give max_depth=")
+    plan = make_plan(scene, free=list(chosen.transforms)) if plan is None else plan
+    jax.eval_shape(lambda z: fitting(chosen(scene, z), plan) and 0.0, chosen.start)  # parameters that it relies on
+
+    twice = (kind.linear and not frozen and not squares) if unbiased is None else unbiased
+    forward = chosen.numbers <= FORWARD if forward is None else forward
+    measuring = Measuring(kind, -(-spp // 2) if twice else spp, pixels, plan, depth, boundary)
+    method = LeastSquares(optimiser, measuring) if squares else Descent(optimiser, measuring, twice, forward)
+    stages = [*((views_of(scene, pairs, factor), n) for factor, n in coarse), (views_of(scene, pairs), steps)]
+    about = {
+        "parameters": {name: list(np.shape(z)) for name, z in chosen.start.items()},
+        "loss": str(loss) if isinstance(loss, str) else "given",
+        "method": type(optimiser).__name__ if squares else "descent",
+        "spp": spp, "seed": seed, "frozen": bool(frozen or squares), "pixels": pixels, "twice": twice,
+        "steps": [n for _, n in stages], "sizes": [[list(v.targets.shape) for v in views] for views, _ in stages],
+    }  # fmt: skip
+    return _run(scene, chosen, method, stages, bool(frozen or squares), seed, about, checkpoint, resume, progress, started)
+
+
+def _checked_coarse(coarse: Sequence[tuple[int, int]]) -> Sequence[tuple[int, int]]:
+    for pair in coarse:
+        if not (isinstance(pair, (tuple, list)) and len(pair) == 2 and all(isinstance(k, int) and k > 0 for k in pair)):
+            raise SceneError(f"coarse: {pair!r} is no stage; give pairs (factor, steps), as [(4, 50), (2, 50)]")
+    return coarse
+
+
+def _optimiser(given: Any, steps: int | None, before: int) -> tuple[bool, Any, int]:
+    """Whether it is least squares, the optimiser, and its steps at full size."""
+    import optax
+    import optimistix
+
+    squares = isinstance(given, optimistix.AbstractLeastSquaresSolver)
+    steps = (SQUARES if squares else STEPS) if steps is None else steps
+    if not isinstance(steps, (int, np.integer)) or steps < 1:
+        raise SceneError(f"steps: is {steps}; give a whole number of at least 1")
+    if given is None:
+        given = optax.adam(optax.cosine_decay_schedule(RATE, before + steps))
+    if not squares and not hasattr(given, "update"):
+        raise SceneError(f"optimiser: {type(given).__name__} is not known; give one of optax, or least squares of optimistix")
+    return squares, given, int(steps)
+
+
+def _run(
+    scene: Scene, free: Free, method: Any, stages: Any, frozen: bool, seed: int, about: dict[str, Any],
+    path: Any, resume: bool, progress: Any, started: float,
+) -> Fit:  # fmt: skip
+    """The host loop: stages of steps, history, checkpoints."""
+    import optimistix
+
+    results = optimistix.RESULTS
+    key, result = jax.random.key(seed), results.successful
+    shown = [name for name, z in free.start.items() if np.size(z) <= FEW]
+    history: dict[str, list[Any]] = {name: [] for name in ("step", "loss", "seconds", *shown)}
+    total, step, before = sum(n for _, n in stages), 0, 0.0
+    values = jax.jit(lambda free, z: free.values(z))
+    kept = files.about_of(path, about_asked(about)) if path is not None and resume else None
+    state, stage, skip, done = None, 0, 0, False
+    if kept is not None:
+        stage, skip, done = kept["stage"], kept["within"], kept["done"]
+        state = method.init(scene, free, stages[stage][0], key)
+        state, history = files.load(path, state)
+        step, before = len(history["step"]), float(history["seconds"][-1]) if history["seconds"] else 0.0
+
+    def save(stage: int, within: int) -> None:
+        if path is not None and state is not None:
+            files.save(path, state, history, about | {"stage": stage, "within": within, "done": done})
+
+    saved = time.perf_counter()
+    with _shown(progress) as show:
+        try:
+            for number in range(stage, len(stages)):
+                views, n = stages[number]
+                if state is None:
+                    state = method.init(scene, free, views, key)
+                elif number > stage:
+                    state, stage, skip, done = method.enter(state, scene, free, views, key), number, 0, False
+                while skip < n and not done:
+                    own = key if frozen else jax.random.fold_in(key, step)
+                    found, loss, done, finite = method.step(state, scene, free, views, own)
+                    loss, done = float(loss), bool(done)
+                    if not finite:
+                        result = results.nonfinite
+                        break
+                    state, skip, step = found, skip + 1, step + 1
+                    now = values(free, state.z)
+                    spent = before + time.perf_counter() - started
+                    for name, value in {"step": step, "loss": loss, "seconds": spent, **now}.items():
+                        if name in history:
+                            history[name].append(np.asarray(value))
+                    if time.perf_counter() - saved > EVERY:
+                        save(number, skip)
+                        saved = time.perf_counter()
+                    show(step, total, loss, now)
+                if result != results.successful:
+                    break
+        finally:
+            save(stage, skip)
+    if isinstance(method, LeastSquares) and not done and result == results.successful:
+        result = results.nonlinear_max_steps_reached
+    if state is None:
+        raise SceneError("fit: has no steps; give steps of at least 1")
+    found = values(free, state.z)
+    covariance = method.covariance(state, free) if isinstance(method, LeastSquares) else None
+    return Fit(
+        free(scene, state.z), found, {name: np.asarray(v) for name, v in history.items()}, covariance,
+        before + time.perf_counter() - started, result,
+    )  # fmt: skip
+
+
+def about_asked(about: dict[str, Any]) -> dict[str, Any]:
+    return about
+
+
+@contextlib.contextmanager
+def _shown(progress: Any) -> Iterator[Callable[[int, int, float, dict[str, Any]], None]]:
+    """What shows a step: the caller's function, a bar with loss and time left on stderr, or nothing."""
+    if callable(progress):
+        yield lambda step, total, loss, values: progress(step, loss, values)
+        return
+    if not (sys.stderr.isatty() if progress is None else progress):
+        yield lambda *_: None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task("compiling", total=None)
+        yield lambda step, total, loss, _: bar.update(task, description=f"loss {loss:.4g}", total=total, completed=step)
