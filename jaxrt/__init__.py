@@ -133,6 +133,7 @@ __all__ = [
     "Enclosure",
     "Field",
     "Film",
+    "Fit",
     "G",
     "Goniometric",
     "Group",

@@ -17,7 +17,7 @@ from ..parts import SceneError
 def save(path: str | Path, state: Any, history: dict[str, list[Any]], about: dict[str, Any]) -> None:
     """Writes a state's arrays and a history. Raises `SceneError` where that cannot be."""
     leaves = [np.asarray(leaf) for leaf in jax.tree.leaves(eqx.filter(state, eqx.is_array))]
-    arrays = {f"state_{k}": leaf for k, leaf in enumerate(leaves)}
+    arrays: dict[str, Any] = {f"state_{k}": leaf for k, leaf in enumerate(leaves)}
     arrays |= {f"history_{name}": np.asarray(values) for name, values in history.items()}
     with replacing(path) as temporary, open(temporary, "wb") as file:
         np.savez(file, about=json.dumps(about), **arrays)
@@ -34,7 +34,9 @@ def about_of(path: str | Path, asked: dict[str, Any]) -> dict[str, Any] | None:
         raise SceneError(f"{path}: is no checkpoint of a fit ({error}); remove it or give another path") from None
     for name, value in asked.items():
         if about.get(name) != value:
-            raise SceneError(f"{path}: is of a fit with {name} {about.get(name)}, not {value}; remove it, or ask the same")
+            raise SceneError(
+                f"{path}: is of a fit with {name} {about.get(name)}, not {value}; remove it, or ask the same"
+            )
     return about
 
 

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import contextlib
-import sys
+import functools
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,20 +16,14 @@ from ..effects import plan as make_plan
 from ..parts import SceneError
 from ..scene import Scene
 from ..solver.measure import depths_of
-from . import checkpoint as files
+from .loop import run
 from .losses import loss_of
 from .parameters import Free
 from .result import Fit
 from .steps import FORWARD, Descent, LeastSquares
 from .views import Measuring, checked, views_of
 
-EVERY = 30.0
-"""Seconds between checkpoints."""
-
-FEW = 64
-"""Numbers of a parameter up to which the history has its values."""
-
-RATE, STEPS, SQUARES = 0.05, 200, 20
+RATE, STEPS, SQUARES = 0.1, 200, 20
 """Adam's first step where no optimiser is given; steps of descent and of least squares."""
 
 
@@ -65,17 +58,18 @@ def fit(
 
     `loss`: "l2", "relative" ((I − T)/√(T² + ε)), "log", "multiscale" (l2 of the picture and of halves down to one
     pixel), each a mean of squares, or a function (image, target) -> a loss, or residuals. `optimiser`: of optax, by
-    default Adam whose steps fall from .05 to 0 by a cosine, or least squares of optimistix, as
-    `LevenbergMarquardt(1e-3, 1e-5)`. `steps`: 200, or 20 of least squares at most. `coarse`: (factor, steps) that go
+    default Adam whose steps fall from .1 to 0 by a cosine, or least squares of optimistix, as
+    `GaussNewton(1e-3, 1e-5)`. `steps`: 200, or 20 of least squares at most. `coarse`: (factor, steps) that go
     before these with pictures so many times smaller, as [(4, 50), (2, 50)].
 
     `spp`: samples a pixel and step; anew each step, or `frozen`, as least squares always has them. `unbiased`: these
     in two halves, so that noise does not move the minimum; by default where the loss is l2, relative or multiscale and
-    samples are not frozen. `pixels`: so many of each picture a step, drawn at random. `forward`: forward mode, by
-    default up to 4 numbers. `max_depth`, `boundary`, `plan` as of `measure`; the plan by default `plan(scene, free)`.
+    samples are not frozen, and with Gauss-Newton, which compares no losses. `pixels`: so many of each picture a step,
+    drawn at random. `forward`: forward mode, by default for few numbers. `max_depth`, `boundary`, `plan` as of
+    `measure`; the plan by default `plan(scene, free)`.
 
-    `checkpoint`: a file that is kept up to date and from which `resume` goes on, to the same bits. `progress`: a bar, by
-    default where stderr is a terminal, or a function (step, loss, values). Raises `SceneError` for unknown names,
+    `checkpoint`: a file that is kept up to date and from which `resume` goes on, to the same bits. `progress`: a bar,
+    by default where stderr is a terminal, or a function (step, loss, values). Raises `SceneError` for unknown names,
     targets of other shapes, values out of bounds and what derivatives refuse.
     """
     started = time.perf_counter()
@@ -84,11 +78,20 @@ def fit(
     squares, optimiser, steps = _optimiser(optimiser, steps, sum(n for _, n in _checked_coarse(coarse)))
     kind = loss_of(loss)
     if squares and frozen is False:
-        raise SceneError("frozen: least squares compares residuals of one step and the next; leave it out, or take optax")
-    if squares and (pixels is not None or unbiased):
-        raise SceneError("pixels, unbiased: least squares takes whole pictures and each once; leave them out")
+        raise SceneError(
+            "frozen: least squares compares residuals of one step and the next; leave it out, or take optax"
+        )
+    if squares and pixels is not None:
+        raise SceneError("pixels: least squares takes whole pictures; leave them out, or take optax")
+    if squares and unbiased and not _compares_nothing(optimiser):
+        name = type(optimiser).__name__
+        raise SceneError(
+            f"unbiased: {name} takes no step that raises the sum of squares; leave it out, or take GaussNewton"
+        )
     if pixels is not None and not kind.local:
         raise SceneError(f"pixels: loss {loss!r} takes whole pictures; leave pixels out, or give l2, relative or log")
+    if resume and checkpoint is None:
+        raise SceneError("resume: has no file to go on from; give checkpoint=")
     if unbiased and not kind.linear:
         raise SceneError(f"unbiased: loss {loss!r} is not quadratic; leave it out, or give l2, relative or multiscale")
     for name, value in {"spp": spp, "pixels": 1 if pixels is None else pixels}.items():
@@ -100,10 +103,11 @@ def fit(
     plan = make_plan(scene, free=list(chosen.transforms)) if plan is None else plan
     jax.eval_shape(lambda z: fitting(chosen(scene, z), plan) and 0.0, chosen.start)  # parameters that it relies on
 
-    twice = (kind.linear and not frozen and not squares) if unbiased is None else unbiased
+    able = kind.linear and (_compares_nothing(optimiser) if squares else not frozen)
+    twice = able if unbiased is None else unbiased
     forward = chosen.numbers <= FORWARD if forward is None else forward
     measuring = Measuring(kind, -(-spp // 2) if twice else spp, pixels, plan, depth, boundary)
-    method = LeastSquares(optimiser, measuring) if squares else Descent(optimiser, measuring, twice, forward)
+    method = LeastSquares(optimiser, measuring, twice) if squares else Descent(optimiser, measuring, twice, forward)
     stages = [*((views_of(scene, pairs, factor), n) for factor, n in coarse), (views_of(scene, pairs), steps)]
     about = {
         "parameters": {name: list(np.shape(z)) for name, z in chosen.start.items()},
@@ -112,7 +116,24 @@ def fit(
         "spp": spp, "seed": seed, "frozen": bool(frozen or squares), "pixels": pixels, "twice": twice,
         "steps": [n for _, n in stages], "sizes": [[list(v.targets.shape) for v in views] for views, _ in stages],
     }  # fmt: skip
-    return _run(scene, chosen, method, stages, bool(frozen or squares), seed, about, checkpoint, resume, progress, started)
+    return run(
+        scene, chosen, method, stages, bool(frozen or squares), seed, about, checkpoint, resume, progress, started
+    )
+
+
+@functools.lru_cache
+def _adam(steps: int) -> Any:
+    """One object for each number of steps, so that fits share programs."""
+    import optax
+
+    return optax.adam(optax.cosine_decay_schedule(RATE, steps))
+
+
+def _compares_nothing(solver: Any) -> bool:
+    """Whether a least squares solver takes every step, as Gauss-Newton does."""
+    import optimistix
+
+    return isinstance(getattr(solver, "search", None), optimistix.LearningRate)
 
 
 def _checked_coarse(coarse: Sequence[tuple[int, int]]) -> Sequence[tuple[int, int]]:
@@ -124,7 +145,6 @@ def _checked_coarse(coarse: Sequence[tuple[int, int]]) -> Sequence[tuple[int, in
 
 def _optimiser(given: Any, steps: int | None, before: int) -> tuple[bool, Any, int]:
     """Whether it is least squares, the optimiser, and its steps at full size."""
-    import optax
     import optimistix
 
     squares = isinstance(given, optimistix.AbstractLeastSquaresSolver)
@@ -132,96 +152,9 @@ def _optimiser(given: Any, steps: int | None, before: int) -> tuple[bool, Any, i
     if not isinstance(steps, (int, np.integer)) or steps < 1:
         raise SceneError(f"steps: is {steps}; give a whole number of at least 1")
     if given is None:
-        given = optax.adam(optax.cosine_decay_schedule(RATE, before + steps))
+        given = _adam(before + int(steps))
     if not squares and not hasattr(given, "update"):
-        raise SceneError(f"optimiser: {type(given).__name__} is not known; give one of optax, or least squares of optimistix")
+        raise SceneError(
+            f"optimiser: {type(given).__name__} is not known; give one of optax, or least squares of optimistix"
+        )
     return squares, given, int(steps)
-
-
-def _run(
-    scene: Scene, free: Free, method: Any, stages: Any, frozen: bool, seed: int, about: dict[str, Any],
-    path: Any, resume: bool, progress: Any, started: float,
-) -> Fit:  # fmt: skip
-    """The host loop: stages of steps, history, checkpoints."""
-    import optimistix
-
-    results = optimistix.RESULTS
-    key, result = jax.random.key(seed), results.successful
-    shown = [name for name, z in free.start.items() if np.size(z) <= FEW]
-    history: dict[str, list[Any]] = {name: [] for name in ("step", "loss", "seconds", *shown)}
-    total, step, before = sum(n for _, n in stages), 0, 0.0
-    values = jax.jit(lambda free, z: free.values(z))
-    kept = files.about_of(path, about_asked(about)) if path is not None and resume else None
-    state, stage, skip, done = None, 0, 0, False
-    if kept is not None:
-        stage, skip, done = kept["stage"], kept["within"], kept["done"]
-        state = method.init(scene, free, stages[stage][0], key)
-        state, history = files.load(path, state)
-        step, before = len(history["step"]), float(history["seconds"][-1]) if history["seconds"] else 0.0
-
-    def save(stage: int, within: int) -> None:
-        if path is not None and state is not None:
-            files.save(path, state, history, about | {"stage": stage, "within": within, "done": done})
-
-    saved = time.perf_counter()
-    with _shown(progress) as show:
-        try:
-            for number in range(stage, len(stages)):
-                views, n = stages[number]
-                if state is None:
-                    state = method.init(scene, free, views, key)
-                elif number > stage:
-                    state, stage, skip, done = method.enter(state, scene, free, views, key), number, 0, False
-                while skip < n and not done:
-                    own = key if frozen else jax.random.fold_in(key, step)
-                    found, loss, done, finite = method.step(state, scene, free, views, own)
-                    loss, done = float(loss), bool(done)
-                    if not finite:
-                        result = results.nonfinite
-                        break
-                    state, skip, step = found, skip + 1, step + 1
-                    now = values(free, state.z)
-                    spent = before + time.perf_counter() - started
-                    for name, value in {"step": step, "loss": loss, "seconds": spent, **now}.items():
-                        if name in history:
-                            history[name].append(np.asarray(value))
-                    if time.perf_counter() - saved > EVERY:
-                        save(number, skip)
-                        saved = time.perf_counter()
-                    show(step, total, loss, now)
-                if result != results.successful:
-                    break
-        finally:
-            save(stage, skip)
-    if isinstance(method, LeastSquares) and not done and result == results.successful:
-        result = results.nonlinear_max_steps_reached
-    if state is None:
-        raise SceneError("fit: has no steps; give steps of at least 1")
-    found = values(free, state.z)
-    covariance = method.covariance(state, free) if isinstance(method, LeastSquares) else None
-    return Fit(
-        free(scene, state.z), found, {name: np.asarray(v) for name, v in history.items()}, covariance,
-        before + time.perf_counter() - started, result,
-    )  # fmt: skip
-
-
-def about_asked(about: dict[str, Any]) -> dict[str, Any]:
-    return about
-
-
-@contextlib.contextmanager
-def _shown(progress: Any) -> Iterator[Callable[[int, int, float, dict[str, Any]], None]]:
-    """What shows a step: the caller's function, a bar with loss and time left on stderr, or nothing."""
-    if callable(progress):
-        yield lambda step, total, loss, values: progress(step, loss, values)
-        return
-    if not (sys.stderr.isatty() if progress is None else progress):
-        yield lambda *_: None
-        return
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task("compiling", total=None)
-        yield lambda step, total, loss, _: bar.update(task, description=f"loss {loss:.4g}", total=total, completed=step)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -63,12 +64,17 @@ LOSSES = {
 }
 
 
+@functools.lru_cache
+def _own(given: Callable[[Any, Any], Any]) -> Loss:
+    return Loss(lambda image, target, level: jnp.asarray(given(image, target)), linear=False, local=False)
+
+
 def loss_of(given: Any) -> Loss:
     """A loss by name, or the caller's: (image, target) -> a loss, or residuals of any shape but ()."""
     if isinstance(given, Loss):
         return given
     if callable(given):
-        return Loss(lambda image, target, level: jnp.asarray(given(image, target)), linear=False, local=False)
+        return _own(given)
     if not isinstance(given, str) or given not in LOSSES:
         raise SceneError(f"loss: {given!r} is not known; give {', '.join(LOSSES)} or a function (image, target)")
     return LOSSES[given]

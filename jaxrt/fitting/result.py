@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float
 
 from ..scene import Scene
@@ -25,14 +25,14 @@ class Fit(eqx.Module):
     scene: Scene
     parameters: dict[str, Array]
     history: dict[str, np.ndarray]
-    covariance: Float[Array, "P P"] | None
+    covariance: Float[np.ndarray, "P P"] | None
     seconds: float
     result: Any
 
     @property
     def stderr(self) -> dict[str, Array]:
         """Standard errors of the parameters by name, from the covariance; NaN where there is none."""
-        flat, back = jax.flatten_util.ravel_pytree(self.parameters)
+        flat, back = ravel_pytree(self.parameters)
         if self.covariance is None:
             return back(jnp.full_like(flat, jnp.nan))
         return back(jnp.sqrt(jnp.diag(self.covariance)).astype(flat.dtype))

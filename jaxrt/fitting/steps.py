@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from typing import Any
 
 import equinox as eqx
@@ -10,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
+from jax.lax import stop_gradient as sg
 
 from ..scene import Scene
 from .parameters import Free
@@ -31,8 +31,20 @@ def finite(*trees: Any) -> Any:
     return jnp.stack(leaves).all()
 
 
-@dataclasses.dataclass(frozen=True)
-class Descent:
+ABREAST = 16
+"""Derivatives along so many directions that are taken at once."""
+
+
+def along(f: Any, flat: Any) -> tuple[Any, Any]:
+    """f, and its derivatives along all axes (P, ...), forward."""
+    eye = jnp.eye(flat.size, dtype=flat.dtype)
+    if flat.size <= ABREAST:
+        return jax.vmap(lambda t: jax.jvp(f, (flat,), (t,)), out_axes=(None, 0))(eye)
+    values, slopes = jax.lax.map(lambda t: jax.jvp(f, (flat,), (t,)), eye, batch_size=ABREAST)
+    return values[0], slopes
+
+
+class Descent(eqx.Module):
     """Steps along gradients of the loss.
 
     `twice`: the loss is the mean product of residuals of two independent pictures, of half the samples each. Its mean
@@ -41,9 +53,9 @@ class Descent:
     """
 
     optimiser: Any
-    measuring: Measuring
-    twice: bool
-    forward: bool
+    measuring: Measuring = eqx.field(static=True)
+    twice: bool = eqx.field(static=True)
+    forward: bool = eqx.field(static=True)
 
     def init(self, scene: Scene, free: Free, views: Any, key: Any) -> State:
         return State(free.start, self.optimiser.init(free.start))
@@ -68,8 +80,7 @@ class Descent:
         if not self.forward:
             return jax.value_and_grad(self.loss)(z, *rest)
         flat, back = ravel_pytree(z)
-        along = lambda t: jax.jvp(lambda flat: self.loss(back(flat), *rest), (flat,), (t,))
-        value, slopes = jax.vmap(along, out_axes=(None, 0))(jnp.eye(flat.size, dtype=flat.dtype))
+        value, slopes = along(lambda flat: self.loss(back(flat), *rest), flat)
         return value, back(slopes)
 
     @eqx.filter_jit
@@ -81,50 +92,77 @@ class Descent:
         return State(z, kept), value, jnp.array(False), finite(value, z)
 
 
-@dataclasses.dataclass(frozen=True)
-class LeastSquares:
-    """Steps of a solver of optimistix, with one set of samples: it compares residuals of one step and the next."""
+class LeastSquares(eqx.Module):
+    """Steps of a solver of optimistix, with one set of samples: it compares residuals of one step and the next.
+
+    `twice`: residuals of two independent pictures, of half the samples each, each with the other's derivative: then
+    JᵀR = J₂ᵀr₁ + J₁ᵀr₂, the gradient of the picture without noise in the mean.
+    """
 
     optimiser: Any
-    measuring: Measuring
-
-    def _call(self, scene: Scene, free: Free, views: Any, key: Any) -> tuple[Any, ...]:
-        return (scene, free, views, key), {}
+    measuring: Measuring = eqx.field(static=True)
+    twice: bool = eqx.field(static=True)
 
     def residuals(self, z: Any, args: Any) -> tuple[Any, None]:
+        """(takes, n), with a Jacobian that is known with them: solvers ask for its product with every axis."""
         scene, free, views, key = args
-        moved = free(scene, z)
-        every = [self.measuring.residuals(moved, v, jax.random.fold_in(key, k)).ravel() for k, v in enumerate(views)]
-        return jnp.concatenate(every), None
+        flat, back = ravel_pytree(z)
 
+        def every(flat: Any) -> Any:
+            moved, found = free(scene, back(flat)), []
+            for k, group in enumerate(views):
+                r = self.measuring.residuals(moved, group, jax.random.fold_in(key, k), 2 if self.twice else 1)
+                found.append(jnp.moveaxis(r, 1, 0).reshape(r.shape[1], -1))
+            return jnp.concatenate(found, 1)
+
+        r, J = along(every, sg(flat))
+        return r + jnp.tensordot(flat - sg(flat), J[:, ::-1] if self.twice else J, 1), None
+
+    def fresh(self, z: Any, args: Any) -> Any:
+        """What the solver starts with. Not all of it is arrays: the rest is made again inside each program, so that
+        programs serve every fit of their shapes."""
+        out = jax.eval_shape(self.residuals, z, args)
+        return self.optimiser.init(self.residuals, z, args, {}, *out, frozenset())
+
+    @eqx.filter_jit
     def init(self, scene: Scene, free: Free, views: Any, key: Any) -> State:
-        return self.enter(State(free.start, None), scene, free, views, key)
+        return State(free.start, eqx.filter(self.fresh(free.start, (scene, free, views, key)), eqx.is_array))
 
+    @eqx.filter_jit
     def enter(self, state: State, scene: Scene, free: Free, views: Any, key: Any) -> State:
-        args = scene, free, views, key
-        out = jax.eval_shape(self.residuals, state.z, args)
-        return State(state.z, self.optimiser.init(self.residuals, state.z, args, {}, *out, frozenset()))
+        return State(state.z, eqx.filter(self.fresh(state.z, (scene, free, views, key)), eqx.is_array))
 
     @eqx.filter_jit
     def step(self, state: State, scene: Scene, free: Free, views: Any, key: Any) -> tuple[State, Any, Any, Any]:
-        args = scene, free, views, key
-        z, kept, _ = self.optimiser.step(self.residuals, state.z, args, {}, state.kept, frozenset())
-        done, result = self.optimiser.terminate(self.residuals, z, args, {}, kept, frozenset())
-        loss = (kept.f_info.residual**2).mean()
         import optimistix
 
-        return State(z, kept), loss, done, finite(loss, z) & (result == optimistix.RESULTS.successful)
+        args, none = (scene, free, views, key), frozenset()
+        kept = eqx.combine(state.kept, self.fresh(state.z, args))
+        z, kept, _ = self.optimiser.step(self.residuals, state.z, args, {}, kept, none)
+        done, result = self.optimiser.terminate(self.residuals, z, args, {}, kept, none)
+        loss = (kept.f_info.residual**2).mean()
+        good = finite(loss, z) & (result == optimistix.RESULTS.successful)
+        return State(z, eqx.filter(kept, eqx.is_array)), loss, done, good
 
-    def covariance(self, state: State, free: Free) -> np.ndarray | None:
-        """σ² D (JᵀJ)⁻¹ Dᵀ of the parameters: σ² = |r|² / (n − p), J = ∂r/∂z at the last accepted step, D = ∂(values)/∂z."""
-        residual = np.asarray(state.kept.f_info.residual, np.float64)
-        flat, back = ravel_pytree(state.z)
-        if flat.size > LARGEST or residual.size <= flat.size:
+    @eqx.filter_jit
+    def _normal(self, state: State, scene: Scene, free: Free, views: Any, key: Any) -> tuple[Any, Any, Any]:
+        """JᵀJ, |r|² and ∂(values)/∂z at the last accepted step."""
+        kept = eqx.combine(state.kept, self.fresh(state.z, (scene, free, views, key)))
+        r, (flat, back) = kept.f_info.residual, ravel_pytree(state.z)
+        J = kept.f_info.jac.as_matrix().reshape(*r.shape, -1)
+        slopes = jax.jacfwd(lambda flat: ravel_pytree(free.values(back(flat)))[0])(flat)
+        return J[0].T @ J[-1], (r.mean(0) ** 2).sum(), slopes
+
+    def covariance(self, state: State, scene: Scene, free: Free, views: Any, key: Any) -> np.ndarray | None:
+        """σ² D (JᵀJ)⁻¹ Dᵀ of the parameters: σ² = |r|² / (n − p), J = ∂r/∂z, D = ∂(values)/∂z.
+
+        At the last accepted step. Of two pictures r is the mean of both, and JᵀJ is J₁ᵀJ₂.
+        """
+        numbers, n = free.numbers, sum(v.targets.size for v in views)
+        if numbers > LARGEST or n <= numbers:
             return None
-        J = np.asarray(state.kept.f_info.jac.as_matrix(), np.float64)
-        D = np.asarray(jax.jacfwd(lambda flat: ravel_pytree(free.values(back(flat)))[0])(flat), np.float64)
-        variance = (residual**2).sum() / (residual.size - flat.size)
-        return variance * D @ np.linalg.pinv(J.T @ J, hermitian=True) @ D.T
+        square, total, D = (np.asarray(a, np.float64) for a in self._normal(state, scene, free, views, key))
+        return total / (n - numbers) * D @ np.linalg.pinv((square + square.T) / 2, hermitian=True) @ D.T
 
 
 LARGEST = 1000

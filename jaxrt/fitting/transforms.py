@@ -43,7 +43,9 @@ class Positive(Transform):
     @classmethod
     def of(cls, scene: Scene, name: str, value: np.ndarray) -> Positive:
         if not (value >= 0).all() or not value.any():
-            raise SceneError(f"{name}: starts at {value.min():g}, which a positive parameter cannot leave; start above 0")
+            raise SceneError(
+                f"{name}: starts at {value.min():g}, which a positive parameter cannot leave; start above 0"
+            )
         return cls(jnp.zeros(value.shape), jnp.asarray(np.maximum(value, INSIDE * value.max())))
 
     def __call__(self, z: Array) -> Array:
@@ -150,7 +152,9 @@ class Smooth(eqx.Module):
         pairs = pairs[pairs[:, 0] != pairs[:, 1]]
         size = np.linalg.norm(np.ptp(value, 0)) / 2
         start = jnp.zeros((len(places), 3))
-        return Displaced(start, jnp.asarray(value), jnp.asarray(place), jnp.asarray(pairs), jnp.asarray(size), self.weight)
+        return Displaced(
+            start, jnp.asarray(value), jnp.asarray(place), jnp.asarray(pairs), jnp.asarray(size), self.weight
+        )
 
 
 def _plain(scene: Scene, name: str, value: np.ndarray) -> Transform:
@@ -167,7 +171,7 @@ NAMED: dict[str, Callable[..., Transform]] = {
 
 
 def transform_of(scene: Scene, name: str, given: Any) -> Transform:
-    """The transform of a parameter as `fit` is given it: a name, bounds (lower, upper), a callable, or None: by name."""
+    """The transform of a parameter as `fit` is given it: a name, (lower, upper), a callable, or None: by its name."""
     value = np.asarray(params(scene)[name], float)
     if given is None:
         parts = set(name.split(".")[1:])
@@ -180,5 +184,6 @@ def transform_of(scene: Scene, name: str, given: Any) -> Transform:
     if isinstance(given, (tuple, list)) and len(given) == 2:
         return Between.of(scene, name, value, *given)
     if callable(given):
-        return given(scene, name, value)
+        made: Any = given
+        return made(scene, name, value)
     raise SceneError(f"{name}: {given!r} is no transform; give {', '.join(NAMED)} or (lower, upper)")

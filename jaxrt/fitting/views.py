@@ -75,7 +75,8 @@ def views_of(scene: Scene, pairs: list[tuple[int, np.ndarray]], factor: int = 1)
         stack = np.stack([small for _, small in members])
         rows = [scene.structure.sensors[k].row for k, _ in members]
         levels = np.sqrt((stack**2).mean((1, 2, 3)))
-        made.append(Views(*(jnp.asarray(a, float) for a in (stack, levels)), jnp.asarray(rows, jnp.int32), members[0][0]))
+        stack, levels = jnp.asarray(stack, float), jnp.asarray(levels, float)
+        made.append(Views(stack, levels, jnp.asarray(rows, jnp.int32), members[0][0]))
     return tuple(made)
 
 

@@ -220,8 +220,9 @@ def measure(
     `key`: a JAX key or an integer. `plan`: `jaxrt.plan(scene)`, made before tracing; the scene's own by
     default. `spp`: samples a pixel. `max_depth`: as Mitsuba counts it (1: emission only, −1: no end, which
     derivatives refuse); the scene's own by default. `radiance`: a `Field` in which paths end, from `jaxrt.solve` to
-    the same depth; derivatives then are those of both. `pixels`: numbers (n,) of those to measure, row · width + column:
-    their values, (n, C), are what they are in the whole picture. Radiance in W·m⁻²·sr⁻¹, averaged over each pixel's filter.
+    the same depth; derivatives then are those of both. `pixels`: numbers (n,) of those to measure, row · width +
+    column: their values, (n, C), are what they are in the whole picture. Radiance in W·m⁻²·sr⁻¹, averaged over each
+    pixel's filter.
 
     Derivatives hold samples fixed, and where surfaces or the camera move they hold how that changes what is seen
     (`jaxrt.gradient`; without `boundary`, they do not). What these terms do not know is refused with a `SceneError`.
