@@ -36,7 +36,9 @@ def chosen_steps(n: int, frames: int = 5) -> list[int]:
     return sorted({round((n - 1) * (k / (frames - 1)) ** 2) for k in range(frames)})
 
 
-def write(folder: Path, name: str, numbers: dict[str, Any], curves: dict[str, tuple[Any, Any]], strip: dict[str, Any]) -> None:
+def write(
+    folder: Path, name: str, numbers: dict[str, Any], curves: dict[str, tuple[Any, Any]], strip: dict[str, Any]
+) -> None:
     """Writes results/{name}.json and .png: a strip of pictures (radiance, or sRGB in bytes), and curves of loss."""
     import matplotlib
 

@@ -67,7 +67,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--quick", action="store_true", help="a coarser sky and fewer steps: under a minute")
     args = parser.parse_args()
-    height, side, steps, reference = (6, 32, 60, 256) if args.quick else (16, 96, 300, 2048)
+    height, side, steps, reference = (6, 32, 60, 256) if args.quick else (16, 64, 200, 2048)
     truth = sky(height)
     even = np.full_like(truth, truth.mean())
     target = jaxrt.render(balls(truth, side), spp=reference, seed=SEED + 1, method="path").image
@@ -78,18 +78,17 @@ def main() -> None:
         if step - 1 in keep:
             frames[f"step {step}"] = np.asarray(values[NAME]).reshape(truth.shape)
 
-    fit = jaxrt.fit(
-        balls(even, side), target, NAME, loss="relative", spp=16, steps=steps, seed=SEED, progress=kept
-    )
+    fit = jaxrt.fit(balls(even, side), target, NAME, loss="relative", spp=16, steps=steps, seed=SEED, progress=kept)
     found = np.asarray(fit.parameters[NAME]).reshape(truth.shape)
     lit = lambda picture: jaxrt.render(balls(picture, side, True), spp=reference, seed=SEED + 2, method="path").image
     other = lit(truth)
+    above = lambda a: float(np.median(np.abs(a / truth - 1)[: height // 2]))  # what lies below the ground is not seen
     numbers = {
         "texels": height * 2 * height, "side": side, "steps": steps, "seconds": fit.seconds,
         "seconds compiling": fit.history["seconds"][0],
         "relMSE of the other picture": jaxrt.relative_mse(lit(found), other),
         "relMSE of the other picture at the start": jaxrt.relative_mse(lit(even), other),
-        "relMSE of the sky": jaxrt.relative_mse(found, truth), "relMSE of the sky at the start": jaxrt.relative_mse(even, truth),
+        "median error above the horizon": above(found), "median error above the horizon at the start": above(even),
     }  # fmt: skip
     curves = {"loss": (fit.history["seconds"], fit.history["loss"])}
     shown = frames | {"truth": truth, "target": target}
@@ -97,8 +96,8 @@ def main() -> None:
     rms = lambda name: 100 * numbers[f"relMSE of {name}"] ** 0.5
     print(
         f"{truth.size} numbers of a sky after {steps} steps and {fit.seconds:.1f} s: other balls under it are within "
-        f"{rms('the other picture'):.1f} % (root of relMSE; {rms('the other picture at the start'):.0f} % at the start), "
-        f"the sky itself within {rms('the sky'):.0f} % ({rms('the sky at the start'):.0f} %)"
+        f"{rms('the other picture'):.1f} % (root of relMSE, once {rms('the other picture at the start'):.0f} %), "
+        f"half of the sky above the horizon within {100 * above(found):.0f} % ({100 * above(even):.0f} %)"
     )
 
 

@@ -15,8 +15,8 @@ from ..scene import Scene
 from .parameters import Free
 from .views import Measuring, Views
 
-FORWARD = 4
-"""Numbers up to which gradients go forward."""
+FORWARD = 10
+"""Numbers up to which gradients go forward: for more a step takes longer than in reverse, which compiles longer."""
 
 
 class State(eqx.Module):

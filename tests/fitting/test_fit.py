@@ -1,6 +1,7 @@
 """Fits of a small room: what was changed is found again, by descent and by least squares, with the error that it says."""
 
 import functools
+import pathlib
 
 import jax
 import jax.numpy as jnp
@@ -124,6 +125,7 @@ def test_least_squares_find_reflectances_and_noise_does_not_move_them():
     assert abs(plain.mean() - TRUTH[name]) > 2 * abs(mean - TRUTH[name]) + 4.5 * plain.std() / np.sqrt(8)
 
 
+@pytest.mark.slow
 def test_levenberg_marquardt_goes_on_from_a_checkpoint(tmp_path):
     path = tmp_path / "fit.npz"
     more = {"optimiser": optimistix.LevenbergMarquardt(1e-3, 1e-4), "loss": "relative", "spp": 64}
@@ -151,6 +153,7 @@ def gradients(seed, keys=KEYS, pixels=None, forward=True):
     return value, jnp.concatenate(list(slope.values()), 1)
 
 
+@pytest.mark.slow
 def test_gradients_of_some_pixels_are_those_of_all_in_the_mean():
     for a, b in zip(gradients(0), gradients(1, 4 * KEYS, 48), strict=True):
         spread = np.hypot(np.std(a, 0) / KEYS**0.5, np.std(b, 0) / (4 * KEYS) ** 0.5)
@@ -158,6 +161,7 @@ def test_gradients_of_some_pixels_are_those_of_all_in_the_mean():
         assert (spread < 0.1 * np.abs(a.mean(0))).all()  # or that says nothing
 
 
+@pytest.mark.slow
 def test_forward_and_reverse_mode_agree():
     for a, b in zip(gradients(0), gradients(0, forward=False), strict=True):
         np.testing.assert_allclose(a, b, rtol=1e-4, atol=1e-6)
@@ -176,3 +180,14 @@ def test_some_pixels_have_the_values_of_the_whole_picture():
     np.testing.assert_allclose(a, b, rtol=1e-6)
     np.testing.assert_allclose(da, db, rtol=1e-5, atol=1e-7)
     assert b.shape == (4, 1) and float(jnp.abs(db).max()) > 0.01
+
+
+def test_the_readmes_snippet_runs(capsys, monkeypatch):
+    root = pathlib.Path(__file__).parent.parent.parent
+    monkeypatch.chdir(root)
+    section = (root / "README.md").read_text().partition("## Fitting scenes to pictures")[2]
+    names = {}
+    exec(section.split("```python")[1].partition("```")[0], names)
+    found, truth = (jaxrt.params(names[k].scene if k == "fit" else names[k]) for k in ("fit", "scene"))
+    off = np.abs(np.asarray(found["red.reflectance"]) - np.asarray(truth["red.reflectance"]))
+    assert (off < 0.05).all() and "RESULTS" in capsys.readouterr().out
