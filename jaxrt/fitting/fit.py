@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import time
+import zlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -17,7 +18,7 @@ from ..parts import SceneError
 from ..scene import Scene
 from ..solver.measure import depths_of
 from .loop import run
-from .losses import loss_of
+from .losses import Loss, loss_of
 from .parameters import Free
 from .result import Fit
 from .steps import FORWARD, Descent, LeastSquares
@@ -77,26 +78,13 @@ def fit(
     chosen = Free.of(scene, free)
     squares, optimiser, steps = _optimiser(optimiser, steps, sum(n for _, n in _checked_coarse(coarse)))
     kind = loss_of(loss)
-    if squares and frozen is False:
-        raise SceneError(
-            "frozen: least squares compares residuals of one step and the next; leave it out, or take optax"
-        )
-    if squares and pixels is not None:
-        raise SceneError("pixels: least squares takes whole pictures; leave them out, or take optax")
-    if squares and unbiased and not _compares_nothing(optimiser):
-        name = type(optimiser).__name__
-        raise SceneError(
-            f"unbiased: {name} takes no step that raises the sum of squares; leave it out, or take GaussNewton"
-        )
-    if pixels is not None and not kind.local:
-        raise SceneError(f"pixels: loss {loss!r} takes whole pictures; leave pixels out, or give l2, relative or log")
+    for name, value, least in (("spp", spp, 1), ("pixels", 1 if pixels is None else pixels, 1), ("seed", seed, 0)):
+        if not isinstance(value, (int, np.integer)) or value < least:
+            raise SceneError(f"{name}: is {value}; give a whole number of at least {least}")
+    if (why := _refusal(loss, kind, optimiser if squares else None, frozen, unbiased, pixels)) is not None:
+        raise SceneError(why)
     if resume and checkpoint is None:
         raise SceneError("resume: has no file to go on from; give checkpoint=")
-    if unbiased and not kind.linear:
-        raise SceneError(f"unbiased: loss {loss!r} is not quadratic; leave it out, or give l2, relative or multiscale")
-    for name, value in {"spp": spp, "pixels": 1 if pixels is None else pixels}.items():
-        if not isinstance(value, (int, np.integer)) or value < 1:
-            raise SceneError(f"{name}: is {value}; give a whole number of at least 1")
     depth = depths_of(scene, max_depth).max_depth
     if depth < 0:
         raise SceneError("max_depth: derivatives need a finite number of bounces; give max_depth=")
@@ -113,7 +101,8 @@ def fit(
         "parameters": {name: list(np.shape(z)) for name, z in chosen.start.items()},
         "loss": str(loss) if isinstance(loss, str) else "given",
         "method": type(optimiser).__name__ if squares else "descent",
-        "spp": spp, "seed": seed, "frozen": bool(frozen or squares), "pixels": pixels, "twice": twice,
+        "spp": int(spp), "seed": int(seed), "frozen": bool(frozen or squares), "twice": bool(twice),
+        "pixels": None if pixels is None else int(pixels), "targets": [zlib.crc32(t.tobytes()) for _, t in pairs],
         "steps": [n for _, n in stages], "sizes": [[list(v.targets.shape) for v in views] for views, _ in stages],
     }  # fmt: skip
     return run(
@@ -134,6 +123,22 @@ def _compares_nothing(solver: Any) -> bool:
     import optimistix
 
     return isinstance(getattr(solver, "search", None), optimistix.LearningRate)
+
+
+def _refusal(loss: Any, kind: Loss, solver: Any, frozen: Any, unbiased: Any, pixels: Any) -> str | None:
+    """Why these do not go together, or None. `solver`: of least squares."""
+    if solver is not None and frozen is False:
+        return "frozen: least squares compares residuals of one step and the next; leave it out, or take optax"
+    if solver is not None and pixels is not None:
+        return "pixels: least squares takes whole pictures; leave them out, or take optax"
+    if solver is not None and unbiased and not _compares_nothing(solver):
+        name = type(solver).__name__
+        return f"unbiased: {name} takes no step that raises the sum of squares; leave it out, or take GaussNewton"
+    if pixels is not None and not kind.local:
+        return f"pixels: loss {loss!r} takes whole pictures; leave pixels out, or give l2, relative or log"
+    if unbiased and not kind.linear:
+        return f"unbiased: loss {loss!r} is not quadratic; leave it out, or give l2, relative or multiscale"
+    return None
 
 
 def _checked_coarse(coarse: Sequence[tuple[int, int]]) -> Sequence[tuple[int, int]]:

@@ -11,6 +11,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from ..compiler import over_devices
@@ -237,6 +238,10 @@ def measure(
         has, asked = radiance.max_depth, depths.max_depth
         raise SceneError(f"radiance: the field is of max_depth {has}, the picture of {asked}; give one for both")
     field = None if radiance is None else radiance.stored
+    if pixels is not None and not isinstance(pixels, Tracer):
+        low, high = np.min(np.asarray(pixels), initial=0), np.max(np.asarray(pixels), initial=0)
+        if low < 0 or high >= n:
+            raise SceneError(f"pixels: are {low} to {high}; give numbers from 0 to {n - 1}")
     some = None if pixels is None else jnp.asarray(pixels, jnp.int32).reshape(-1)
     image = _pixels(
         scene, plan, view, key, depths, field, some, n=n, spp=spp, max_depth=depths.max_depth, boundary=boundary

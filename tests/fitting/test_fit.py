@@ -11,9 +11,10 @@ import pytest
 from helpers import box_room, camera
 
 import jaxrt
+from jaxrt.fitting.loop import run
 from jaxrt.fitting.losses import loss_of
 from jaxrt.fitting.parameters import Free
-from jaxrt.fitting.steps import Descent
+from jaxrt.fitting.steps import Descent, State
 from jaxrt.fitting.views import Measuring, checked, views_of
 
 pytestmark = pytest.mark.usefixtures("short_loops")
@@ -51,7 +52,7 @@ def error(fit):
 
 
 def squares(**more):
-    return jaxrt.fit(start(), target(), FREE, optimiser=GAUSS, progress=False, **{"spp": 4, **more})
+    return jaxrt.fit(start(), target(), FREE, optimiser=GAUSS, **{"spp": 4, "progress": False, **more})
 
 
 # ----------------------------------------------------------------------------------------- descent
@@ -95,7 +96,7 @@ def test_a_fit_that_was_stopped_goes_on_to_the_same_bits(tmp_path, stop):
 
 def test_a_checkpoint_of_another_fit_is_refused(tmp_path):
     path = tmp_path / "fit.npz"
-    squares(checkpoint=path, steps=1)
+    squares(checkpoint=path, steps=1, progress=True)
     with pytest.raises(jaxrt.SceneError, match="is of a fit with spp 4, not 8"):
         squares(checkpoint=path, resume=True, steps=1, spp=8)
     path.write_bytes(b"nothing")
@@ -108,9 +109,14 @@ def test_a_checkpoint_of_another_fit_is_refused(tmp_path):
 # ------------------------------------------------------------------------------------ least squares
 
 
-def test_least_squares_find_reflectances_and_noise_does_not_move_them():
+def test_least_squares_find_reflectances_and_noise_does_not_move_them(monkeypatch):
     """With one set of samples in residuals and derivatives, dark values have less noise and are preferred."""
-    fits = [squares(seed=seed) for seed in range(20)]
+    traced, residuals = [], Measuring.residuals
+    monkeypatch.setattr(Measuring, "residuals", lambda *args: traced.append(0) or residuals(*args))
+    fits = [squares(seed=0)]
+    before = len(traced)
+    fits += [squares(seed=seed) for seed in range(1, 20)]
+    assert len(traced) == before  # one program for all steps of all fits
     assert all(fit.result == optimistix.RESULTS.successful for fit in fits)
     name = "paint.reflectance"
     found = np.array([float(fit.parameters[name][0]) for fit in fits])
@@ -180,6 +186,27 @@ def test_some_pixels_have_the_values_of_the_whole_picture():
     np.testing.assert_allclose(a, b, rtol=1e-6)
     np.testing.assert_allclose(da, db, rtol=1e-5, atol=1e-7)
     assert b.shape == (4, 1) and float(jnp.abs(db).max()) > 0.01
+    with pytest.raises(jaxrt.SceneError, match="pixels: are 0 to 256; give numbers from 0 to 255"):
+        jaxrt.measure(room(), 3, pixels=[0, 256])
+
+
+def test_a_fit_ends_before_what_is_not_finite(tmp_path):
+    """The loop alone, with steps of which the third gives no number."""
+
+    class Steps:
+        def init(self, scene, free, views, key):
+            return State(free.start, jnp.zeros(()))
+
+        def step(self, state, scene, free, views, key):
+            n = state.kept + 1
+            z = {name: a + 0.1 for name, a in state.z.items()}
+            return State(z, n), jnp.where(n == 3, jnp.nan, 1.0 / n), False, n != 3
+
+    free = Free.of(start(), FREE)
+    fit = run(start(), free, Steps(), [((), 5)], False, 0, {}, tmp_path / "fit.npz", False, False, 0.0)
+    assert fit.result == optimistix.RESULTS.nonfinite
+    np.testing.assert_allclose(fit.history["loss"], [1, 0.5])
+    np.testing.assert_array_equal(fit.parameters["paint.reflectance"], fit.history["paint.reflectance"][-1])
 
 
 def test_the_readmes_snippet_runs(capsys, monkeypatch):

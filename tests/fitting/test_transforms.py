@@ -189,6 +189,7 @@ PICTURE = np.ones((12, 16, 3))
         ("*paint*", {"coarse": [4]}, "is no stage"),
         ("*paint*", {"steps": 0}, "steps: is 0"),
         ("*paint*", {"spp": 0}, "spp: is 0"),
+        ("*paint*", {"seed": 0.5}, "seed: is 0.5"),
         ("*paint*", {"max_depth": -1}, "finite number of bounces"),
         ("*paint*", {"optimiser": "adam"}, "optimiser: str is not known"),
         ("*paint*", {"resume": True}, "resume: has no file"),
