@@ -11,6 +11,7 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 from jax.lax import stop_gradient as sg
 
+from ..parts import SceneError
 from ..scene import Scene
 from .parameters import Free
 from .views import Measuring, Views
@@ -112,6 +113,8 @@ class LeastSquares(eqx.Module):
             moved, found = free(scene, back(flat)), []
             for k, group in enumerate(views):
                 r = self.measuring.residuals(moved, group, jax.random.fold_in(key, k), 2 if self.twice else 1)
+                if r.ndim == 2:
+                    raise SceneError("loss: gives one number; least squares needs residuals, an array")
                 found.append(jnp.moveaxis(r, 1, 0).reshape(r.shape[1], -1))
             return jnp.concatenate(found, 1)
 
@@ -145,23 +148,25 @@ class LeastSquares(eqx.Module):
         return State(z, eqx.filter(kept, eqx.is_array)), loss, done, good
 
     @eqx.filter_jit
-    def _normal(self, state: State, scene: Scene, free: Free, views: Any, key: Any) -> tuple[Any, Any, Any]:
-        """JᵀJ, |r|² and ∂(values)/∂z at the last accepted step."""
+    def _normal(self, state: State, scene: Scene, free: Free, views: Any, key: Any) -> tuple[Any, ...]:
+        """JᵀJ, |r|², how many residuals, and ∂(values)/∂z at the last accepted step."""
         kept = eqx.combine(state.kept, self.fresh(state.z, (scene, free, views, key)))
         r, (flat, back) = kept.f_info.residual, ravel_pytree(state.z)
         J = kept.f_info.jac.as_matrix().reshape(*r.shape, -1)
         slopes = jax.jacfwd(lambda flat: ravel_pytree(free.values(back(flat)))[0])(flat)
-        return J[0].T @ J[-1], (r.mean(0) ** 2).sum(), slopes
+        return J[0].T @ J[-1], (r.mean(0) ** 2).sum(), jnp.array(r.shape[1]), slopes
 
     def covariance(self, state: State, scene: Scene, free: Free, views: Any, key: Any) -> np.ndarray | None:
         """σ² D (JᵀJ)⁻¹ Dᵀ of the parameters: σ² = |r|² / (n − p), J = ∂r/∂z, D = ∂(values)/∂z.
 
         At the last accepted step. Of two pictures r is the mean of both, and JᵀJ is J₁ᵀJ₂.
         """
-        numbers, n = free.numbers, sum(v.targets.size for v in views)
-        if numbers > LARGEST or n <= numbers:
+        numbers = free.numbers
+        if numbers > LARGEST:
             return None
-        square, total, D = (np.asarray(a, np.float64) for a in self._normal(state, scene, free, views, key))
+        square, total, n, D = (np.asarray(a, np.float64) for a in self._normal(state, scene, free, views, key))
+        if n <= numbers:
+            return None
         return total / (n - numbers) * D @ np.linalg.pinv((square + square.T) / 2, hermitian=True) @ D.T
 
 

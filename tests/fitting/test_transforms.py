@@ -9,8 +9,10 @@ import pytest
 from helpers import box_room, camera, edges_of, icosphere, moved, rotation
 
 import jaxrt
+from jaxrt.fitting import views
 from jaxrt.fitting.losses import halved, loss_of
 from jaxrt.fitting.parameters import Free
+from jaxrt.fitting.steps import Descent, LeastSquares
 from jaxrt.fitting.views import checked, scattered, views_of
 
 
@@ -142,6 +144,27 @@ def test_losses_in_closed_form():
     quarter = half[:, :2].reshape(2, 2, 1, 2, 3).mean((1, 3))
     np.testing.assert_allclose(halved(jnp.asarray(off)), half, atol=1e-6)
     assert mean_square("multiscale") == pytest.approx(np.mean([(a**2).mean() for a in (off, half, quarter)]), rel=1e-4)
+
+
+def test_the_callers_losses(monkeypatch):
+    """Residuals and one number, of two views each: the mean of squares, and the mean."""
+    pictures = [np.random.default_rng(k).random((12, 16, 3)) for k in range(3)]
+    monkeypatch.setattr(views, "measure", lambda *args, **more: jnp.asarray(pictures[2], jnp.float32))
+    free, group = Free.of(scene(), "*paint*"), views_of(scene(), checked(scene(), pictures[:2], [0, 0]))
+
+    def value(loss):
+        measuring = views.Measuring(loss_of(loss), 1, None, None, 2, True)
+        return float(Descent(None, measuring, False, False).loss(free.start, scene(), free, group, jax.random.key(0)))
+
+    want = np.mean([(pictures[2] - t) ** 2 for t in pictures[:2]])
+    assert value("l2") == pytest.approx(want, rel=1e-5)
+    assert value(lambda image, target: (image - target)[..., :2]) == pytest.approx(
+        np.mean([(pictures[2] - t)[..., :2] ** 2 for t in pictures[:2]]), rel=1e-5
+    )
+    assert value(lambda image, target: ((image - target) ** 2).mean()) == pytest.approx(want, rel=1e-5)
+    single = views.Measuring(loss_of(lambda image, target: (image - target).sum()), 1, None, None, 2, True)
+    with pytest.raises(jaxrt.SceneError, match="gives one number; least squares needs residuals"):
+        LeastSquares(None, single, False).residuals(free.start, (scene(), free, group, jax.random.key(0)))
 
 
 def test_pixels_are_drawn_evenly():
