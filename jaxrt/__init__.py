@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from .effects import Plan, plan
     from .effects.costs import effect_costs
     from .files.ies import load_ies
+    from .fitting import Fit, Smooth, fit
     from .loading import load
     from .operators import (
         D,
@@ -82,6 +83,7 @@ _HOMES = {
     "effects": "Plan plan",
     "effects.costs": "effect_costs",
     "files.ies": "load_ies",
+    "fitting": "Fit Smooth fit",
     "loading": "load",
     "operators": "D G K T add adjoint compose emission estimate inner neumann norm psi sub",
     "parts": "Bitmap Blend BumpMap Checkerboard Conductor Cube Cylinder Dielectric Diffuse Directional Disk"
@@ -131,6 +133,7 @@ __all__ = [
     "Enclosure",
     "Field",
     "Film",
+    "Fit",
     "G",
     "Goniometric",
     "Group",
@@ -158,6 +161,7 @@ __all__ = [
     "SceneError",
     "SdfGrid",
     "Sensor",
+    "Smooth",
     "Solution",
     "Spectrum",
     "Sphere",
@@ -174,6 +178,7 @@ __all__ = [
     "elements_of",
     "emission",
     "estimate",
+    "fit",
     "inner",
     "irradiance",
     "load",

@@ -11,6 +11,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from ..compiler import over_devices
@@ -103,13 +104,14 @@ def _means(
     edges: Any,
     placed: Any,
     numbers: Any,
+    n: int,
     spp: int,
     steps: int,
 ) -> Any:
     """Means of lanes (chunks, lanes) -> (chunks, lanes, C), by the loop without reverse mode.
 
     `edges`: those of M, for derivatives by what moves; `placed`: lamps without extent, places of
-    instances, grids of distances.
+    instances, grids of distances. `n`: lanes that there are in all, of which `numbers` may be some.
     """
 
     def chunk(world: World, begin: Any, depths: path.Depths, seed: Any, field: Any, row: Any) -> Any:
@@ -125,7 +127,7 @@ def _means(
 
 @_means.def_jvp
 def _means_jvp(primals: Any, tangents: Any) -> Any:
-    world, begin, depths, seed, field, edges, _, numbers, spp, steps = primals
+    world, begin, depths, seed, field, edges, _, numbers, n, spp, steps = primals
     steps = FOLLOWED if field is not None and not 0 <= steps <= FOLLOWED else steps
     if steps < 0:
         raise ValueError("measure: derivatives need a finite number of bounces; give max_depth= (1 is emission only)")
@@ -150,9 +152,9 @@ def _means_jvp(primals: Any, tangents: Any) -> Any:
             if steps > 1 or begin.searches:
                 values = values + over_devices(around, wide, world, edges, begin, depths, seed)
             if isinstance(begin, View):
-                samples = math.ceil(spp * SILHOUETTE * math.sqrt(numbers.size))
-                seen = silhouettes.picture(world, edges, begin, depths, seed, numbers.size, samples)
-                values = values + seen[jnp.minimum(wide, numbers.size - 1)]
+                samples = math.ceil(spp * SILHOUETTE * math.sqrt(n))
+                seen = silhouettes.picture(world, edges, begin, depths, seed, n, samples)
+                values = values + seen[jnp.minimum(wide, n - 1)]
         return values.reshape(-1, values.shape[-1])[: numbers.size].reshape(*numbers.shape, -1)
 
     return eqx.filter_jvp(fixed, (world, begin, field), (tangents[0], tangents[1], tangents[4]))
@@ -166,16 +168,18 @@ def _pixels(
     key: Any,
     depths: path.Depths,
     field: Any,
+    some: Any = None,
     *,
     n: int,
     spp: int,
     max_depth: int,
     boundary: bool,
 ) -> Any:
-    """Means of lanes 0..n−1, (n, C); compiled once for scenes and beginnings of one structure."""
+    """Means of lanes 0..n−1, or of `some` of them, (n, C); compiled once for scenes and beginnings of one structure."""
     scene, begin = in_working_precision((scene, begin))
     world = prepare(scene, plan)
-    numbers = _chunks(jnp.arange(n, dtype=jnp.int32), lanes_of(plan))
+    asked = jnp.arange(n, dtype=jnp.int32) if some is None else some
+    numbers = _chunks(asked, lanes_of(plan))
     steps = max_depth + 2 * plan.hide_emitters if max_depth > 0 else max_depth  # to pass both sides of a lamp
     edges = edges_of(scene, world) if boundary else None
     values = _means(
@@ -187,10 +191,11 @@ def _pixels(
         edges,
         (scene.lamps, scene.instances, scene.distances),
         numbers,
+        n,
         spp,
         steps,
     )
-    return jnp.broadcast_to(values.reshape(-1, plan.channels)[:n], (n, plan.out_channels))
+    return jnp.broadcast_to(values.reshape(-1, plan.channels)[: asked.size], (asked.size, plan.out_channels))
 
 
 def _checked(scene: Scene, plan: Plan | None, spp: int) -> tuple[Scene, Plan]:
@@ -210,13 +215,16 @@ def measure(
     sensor: int = 0,
     radiance: Any = None,
     boundary: bool = True,
-) -> Float[Array, "height width channels"]:
+    pixels: Any = None,
+) -> Float[Array, "height width channels"] | Float[Array, "n channels"]:
     """A picture, as a pure function of scene and key: jit, grad, jvp and vmap apply.
 
     `key`: a JAX key or an integer. `plan`: `jaxrt.plan(scene)`, made before tracing; the scene's own by
     default. `spp`: samples a pixel. `max_depth`: as Mitsuba counts it (1: emission only, −1: no end, which
     derivatives refuse); the scene's own by default. `radiance`: a `Field` in which paths end, from `jaxrt.solve` to
-    the same depth; derivatives then are those of both. Radiance in W·m⁻²·sr⁻¹, averaged over each pixel's filter.
+    the same depth; derivatives then are those of both. `pixels`: numbers (n,) of those to measure, row · width +
+    column: their values, (n, C), are what they are in the whole picture. Radiance in W·m⁻²·sr⁻¹, averaged over each
+    pixel's filter.
 
     Derivatives hold samples fixed, and where surfaces or the camera move they hold how that changes what is seen
     (`jaxrt.gradient`; without `boundary`, they do not). What these terms do not know is refused with a `SceneError`.
@@ -231,10 +239,17 @@ def measure(
         has, asked = radiance.max_depth, depths.max_depth
         raise SceneError(f"radiance: the field is of max_depth {has}, the picture of {asked}; give one for both")
     field = None if radiance is None else radiance.stored
-    image = _pixels(scene, plan, view, key, depths, field, n=n, spp=spp, max_depth=depths.max_depth, boundary=boundary)
+    if pixels is not None and not isinstance(pixels, Tracer):
+        low, high = np.min(np.asarray(pixels), initial=0), np.max(np.asarray(pixels), initial=0)
+        if low < 0 or high >= n:
+            raise SceneError(f"pixels: are {low} to {high}; give numbers from 0 to {n - 1}")
+    some = None if pixels is None else jnp.asarray(pixels, jnp.int32).reshape(-1)
+    image = _pixels(
+        scene, plan, view, key, depths, field, some, n=n, spp=spp, max_depth=depths.max_depth, boundary=boundary
+    )
     tones = scene.structure.sensors[sensor].tones(image.shape[-1])
     image = image if tones is None else image @ jnp.asarray(tones, image.dtype)
-    return image.reshape(height, width, -1)
+    return image.reshape(height, width, -1) if some is None else image
 
 
 def _rays(points: Any, directions: Any) -> tuple[Any, Any, Any]:

@@ -1,0 +1,64 @@
+"""What experiments on fits share: their circumstances, strips of pictures, curves of loss."""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+
+import jaxrt
+from jaxrt.files.image import to_srgb
+
+
+def circumstances(seed: int) -> dict[str, Any]:
+    cpu = platform.processor() or platform.machine()
+    if Path("/proc/cpuinfo").exists():
+        names = [line for line in Path("/proc/cpuinfo").read_text().splitlines() if line.startswith("model name")]
+        cpu = names[0].partition(": ")[2] if names else cpu
+    return {
+        "cpu": cpu, "cores": len(os.sched_getaffinity(0)), "load": os.getloadavg(), "python": platform.python_version(),
+        "jax": jax.__version__, "numpy": np.__version__, "jaxrt": jaxrt.__version__, "seed": seed,
+    }  # fmt: skip
+
+
+def use_cores() -> None:
+    """One device a core: programs of derivatives spread over them. Before anything else is done with jax."""
+    jax.config.update("jax_num_cpu_devices", len(os.sched_getaffinity(0)))
+
+
+def chosen_steps(n: int, frames: int = 5) -> list[int]:
+    """Steps to show, from the first to the last, early ones closer together."""
+    return sorted({round((n - 1) * (k / (frames - 1)) ** 2) for k in range(frames)})
+
+
+def write(
+    folder: Path, name: str, numbers: dict[str, Any], curves: dict[str, tuple[Any, Any]], strip: dict[str, Any]
+) -> None:
+    """Writes results/{name}.json and .png: a strip of pictures (radiance, or sRGB in bytes), and curves of loss."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    results = folder / "results"
+    results.mkdir(exist_ok=True)
+    (results / f"{name}.json").write_text(json.dumps(numbers, indent=1, default=float))
+    fig = plt.figure(figsize=(2.1 * max(len(strip), 3), 4.8), layout="constrained")
+    above, below = fig.subfigures(2, 1, height_ratios=(1, 1.1))
+    for ax, (title, image) in zip(np.atleast_1d(above.subplots(1, len(strip))), strip.items(), strict=True):
+        image = np.asarray(image)
+        ax.imshow(image if image.dtype == np.uint8 else to_srgb(image.astype(np.float32)))
+        ax.set_title(title, fontsize=8)
+        ax.axis("off")
+    ax = below.subplots()
+    for label, (x, y) in curves.items():
+        ax.plot(x, np.abs(y), lw=1, label=label)
+    ax.set(xlabel="seconds, compiling included", yscale="log")
+    ax.legend(fontsize=8)
+    fig.savefig(results / f"{name}.png", dpi=130)
+    plt.close(fig)
