@@ -198,8 +198,9 @@ def _reflect(world: World, depths: Depths, state: PathState, landing: Landing, n
     if state.scattered is not None:
         follow = replace(follow, scattered=state.scattered | is_diffuse(world, at))
     if state.before is not None:
-        slopes = material.slope(functools.partial(reflected, world), at, node.w)
-        follow = replace(follow, before=x.position, slopes=slopes)
+        follow = replace(follow, before=x.position)
+    if state.slopes is not None:
+        follow = replace(follow, slopes=material.slope(functools.partial(reflected, world), at, node.w))
     return _through(world, state, landing, follow)
 
 
@@ -228,11 +229,11 @@ def bounce_stream(s: Stream, depth: Any) -> Stream:
     return Stream(s.index, s.seed, (CAMERA_PAIRS + BOUNCE_PAIRS * depth).astype(jnp.uint32))
 
 
-def _attached(world: World, begin: Any, number: Any, s: Stream) -> PathState:
-    """A path that knows the point that reflected last, as derivatives need it."""
+def _attached(world: World, begin: Any, number: Any, s: Stream, moving: bool) -> PathState:
+    """A path that knows the point that reflected last, and its `slopes` if something moves, as derivatives need it."""
     path = begin(world, number, s)
     before, slope = begin.before(world, number, s, path.d)
-    return replace(path, before=before, slopes=(slope,) * world.plan.channels)
+    return replace(path, before=before, slopes=(slope,) * world.plan.channels if moving else None)
 
 
 class Watched(eqx.Module):
@@ -357,9 +358,20 @@ def _ready(world: World, begin: Any, seed: Any, numbers: Any, lane: Lane, first:
 
 
 def trace_fixed(
-    world: World, begin: Any, steps: int, depths: Depths, seed: Any, numbers: Any, spp: int, field: Any = None
+    world: World,
+    begin: Any,
+    steps: int,
+    depths: Depths,
+    seed: Any,
+    numbers: Any,
+    spp: int,
+    field: Any = None,
+    moving: bool = True,
 ) -> Any:
-    """Mean of samples 0..spp−1 of each lane, (N, C): the reverse-mode driver, memory of one pass."""
+    """Mean of samples 0..spp−1 of each lane, (N, C): the reverse-mode driver, memory of one pass.
+
+    `moving`: whether surfaces or the camera do.
+    """
     watched = begin if field is None else Watched(begin)
 
     @functools.partial(jax.checkpoint, prevent_cse=False)
@@ -373,7 +385,7 @@ def trace_fixed(
                     return field.bounce(world, depths, path, turn, set_of(sample, field))[0], None
                 return bounce(world, depths, path, turn), None
 
-            path = _attached(world, begin, number, s)
+            path = _attached(world, begin, number, s, moving)
             radiance = jax.lax.scan(body, path, None, length=max(steps, 1))[0].radiance.array()
             weight = begin.weight(world, number, s)
             return radiance if weight is None else radiance * weight
