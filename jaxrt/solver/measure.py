@@ -125,7 +125,7 @@ def _means(
 
 @_means.def_jvp
 def _means_jvp(primals: Any, tangents: Any) -> Any:
-    world, begin, depths, seed, field, edges, _, numbers, spp, steps = primals
+    world, begin, depths, seed, field, edges, placed, numbers, spp, steps = primals
     steps = FOLLOWED if field is not None and not 0 <= steps <= FOLLOWED else steps
     if steps < 0:
         raise ValueError("measure: derivatives need a finite number of bounces; give max_depth= (1 is emission only)")
@@ -140,6 +140,12 @@ def _means_jvp(primals: Any, tangents: Any) -> Any:
     if edges is not None and moves:
         kind = begin.sensor.kind if isinstance(begin, Picture) else ""
         refused.check(world.plan, kind, steps > 1 or begin.searches, *(a is not None for a in tangents[6][:2]))
+
+    if moves:
+        world, begin, field = refused.once((world, begin, field))
+    else:  # and where something moves only the second time
+        geometry, begin, placed = refused.once((world.geometry, begin, placed))
+        world = eqx.tree_at(lambda w: w.geometry, world, geometry)
 
     def around(world: World, edges: Any, begin: Any, depths: path.Depths, seed: Any, row: Any) -> Any:
         return visibility.surfaces(world, edges, begin, steps, depths, seed, row, spp)
@@ -220,7 +226,7 @@ def measure(
 
     Derivatives hold samples fixed, and where surfaces or the camera move they hold how that changes what is seen
     (`jaxrt.gradient`; without `boundary`, they do not). What these terms do not know is refused with a `SceneError`.
-    Second derivatives hold where no geometry moves at all.
+    Second derivatives hold where nothing moves at all, and are refused elsewhere.
     """
     scene, plan = _checked(scene, plan, spp)
     view = view_of(scene, sensor)
