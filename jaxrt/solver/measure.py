@@ -137,7 +137,8 @@ def _means_jvp(primals: Any, tangents: Any) -> Any:
         return path.trace_fixed(world, begin, steps, depths, seed, row, spp, field)
 
     moves = any(a is not None for a in (tangents[0].geometry, *tangents[6])) or bool(jax.tree.leaves(tangents[1]))
-    if edges is not None and moves:
+    slides = world.textures is not None and tangents[0].textures.to_uv is not None and world.plan.stepped
+    if edges is not None and (moves or slides):
         kind = begin.sensor.kind if isinstance(begin, Picture) else ""
         refused.check(world.plan, kind, steps > 1 or begin.searches, *(a is not None for a in tangents[6][:2]))
 
