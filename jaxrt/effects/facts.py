@@ -154,7 +154,7 @@ class Facts:
     @property
     def nearest(self) -> bool:
         """Whether a bitmap is looked up without interpolation."""
-        bitmaps = self.layout[1:][self.layout[1:, 0] == TEXTURES.index("bitmap")]
+        bitmaps = self.layout[(self.layout[:, 0] == TEXTURES.index("bitmap")) & (self.layout[:, 2] > 0)]  # not padding
         return bool((bitmaps[:, 4] == FILTERS.index("nearest")).any())
 
     @property

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
+import equinox as eqx
+import jax
+
 from ..parts import SceneError
 from ..scene import CAMERAS
 
@@ -40,3 +43,22 @@ def check(plan: Any, view: str, deep: bool, lamps: bool, places: bool) -> None:
         raise SceneError(
             f"measure: derivatives by what moves do not know {why}, or give boundary=False for interior terms alone"
         )
+
+
+@jax.custom_jvp
+def _once(tree: Any) -> Any:
+    return tree
+
+
+@_once.defjvp
+def _(*_: Any) -> Any:
+    raise SceneError(
+        "measure: second derivatives do not hold where something moves, for boundary terms have only first ones; "
+        "differentiate once by vertices, transforms, shapes, cameras and lenses, and take differences of that"
+    )
+
+
+def once(tree: Any) -> Any:
+    """The same values, of which a derivative raises `SceneError`: what stands in a first derivative by what moves."""
+    floats, others = eqx.partition(tree, eqx.is_inexact_array)
+    return eqx.combine(_once(floats), others)

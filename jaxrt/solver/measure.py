@@ -128,7 +128,7 @@ def _means(
 
 @_means.def_jvp
 def _means_jvp(primals: Any, tangents: Any) -> Any:
-    world, begin, depths, seed, field, edges, _, numbers, n, spp, steps = primals
+    world, begin, depths, seed, field, edges, placed, numbers, n, spp, steps = primals
     steps = FOLLOWED if field is not None and not 0 <= steps <= FOLLOWED else steps
     if steps < 0:
         raise ValueError("measure: derivatives need a finite number of bounces; give max_depth= (1 is emission only)")
@@ -140,9 +140,16 @@ def _means_jvp(primals: Any, tangents: Any) -> Any:
         return path.trace_fixed(world, begin, steps, depths, seed, row, spp, field, moves)
 
     moves = any(a is not None for a in (tangents[0].geometry, *tangents[6])) or bool(jax.tree.leaves(tangents[1]))
-    if edges is not None and moves:
+    slides = world.textures is not None and tangents[0].textures.to_uv is not None and world.plan.stepped
+    if edges is not None and (moves or slides):
         kind = begin.sensor.kind if isinstance(begin, Picture) else ""
         refused.check(world.plan, kind, steps > 1 or begin.searches, *(a is not None for a in tangents[6][:2]))
+
+    if moves:
+        world, begin, field = refused.once((world, begin, field))
+    else:  # and where something moves only the second time
+        geometry, begin, placed = refused.once((world.geometry, begin, placed))
+        world = eqx.tree_at(lambda w: w.geometry, world, geometry)
 
     def around(world: World, edges: Any, begin: Any, depths: path.Depths, seed: Any, row: Any) -> Any:
         return visibility.surfaces(world, edges, begin, steps, depths, seed, row, spp)
@@ -229,7 +236,7 @@ def measure(
 
     Derivatives hold samples fixed, and where surfaces or the camera move they hold how that changes what is seen
     (`jaxrt.gradient`; without `boundary`, they do not). What these terms do not know is refused with a `SceneError`.
-    Second derivatives hold where no geometry moves at all.
+    Second derivatives hold where nothing moves at all, and are refused elsewhere.
     """
     scene, plan = _checked(scene, plan, spp)
     view = view_of(scene, sensor)
