@@ -10,6 +10,7 @@ from typing import Any
 
 import jax
 import numpy as np
+import optimistix
 
 import jaxrt
 from jaxrt.files.image import to_srgb
@@ -31,9 +32,22 @@ def use_cores() -> None:
     jax.config.update("jax_num_cpu_devices", len(os.sched_getaffinity(0)))
 
 
+def gauss_newton() -> Any:
+    """For what moves. It ends by root mean squares: the largest residual never rests, as samples jump over borders."""
+    return optimistix.GaussNewton(1e-2, 1e-3, norm=optimistix.rms_norm)
+
+
 def chosen_steps(n: int, frames: int = 5) -> list[int]:
     """Steps to show, from the first to the last, early ones closer together."""
     return sorted({round((n - 1) * (k / (frames - 1)) ** 2) for k in range(frames)})
+
+
+def on_the_way(start: jaxrt.Scene, fit: jaxrt.Fit, spp: int = 64, **how: Any) -> dict[str, np.ndarray]:
+    """Pictures of the start and after some steps, where the history has all parameters; `how`: of `jaxrt.render`."""
+    shown = {"start": start}
+    for k in chosen_steps(len(fit.history["step"])):
+        shown[f"step {k + 1}"] = jaxrt.with_params(start, {name: fit.history[name][k] for name in fit.parameters})
+    return {title: jaxrt.render(s, spp=spp, method="path", **how).image for title, s in shown.items()}
 
 
 def write(

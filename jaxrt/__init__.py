@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from .effects import Plan, plan
     from .effects.costs import effect_costs
     from .files.ies import load_ies
-    from .fitting import Fit, Smooth, fit
+    from .fitting import Fit, Shift, Smooth, fit
     from .loading import load
     from .operators import (
         D,
@@ -83,7 +83,7 @@ _HOMES = {
     "effects": "Plan plan",
     "effects.costs": "effect_costs",
     "files.ies": "load_ies",
-    "fitting": "Fit Smooth fit",
+    "fitting": "Fit Shift Smooth fit",
     "loading": "load",
     "operators": "D G K T add adjoint compose emission estimate inner neumann norm psi sub",
     "parts": "Bitmap Blend BumpMap Checkerboard Conductor Cube Cylinder Dielectric Diffuse Directional Disk"
@@ -161,6 +161,7 @@ __all__ = [
     "SceneError",
     "SdfGrid",
     "Sensor",
+    "Shift",
     "Smooth",
     "Solution",
     "Spectrum",

@@ -41,11 +41,6 @@ def main() -> None:
     errors = {name: np.abs(np.asarray(fit.parameters[name]) - truth[name]) for name in NAMES}
     scores = {name: errors[name] / np.asarray(fit.stderr[name]) for name in NAMES}
     worst = max(float(e.max()) for e in errors.values())
-    steps = fits.chosen_steps(len(fit.history["step"]))
-    shown = {"start": jaxrt.render(start, spp=64, method="path").image}
-    for k in steps:
-        moved = jaxrt.with_params(scene, {name: fit.history[name][k] for name in NAMES})
-        shown[f"step {k + 1}"] = jaxrt.render(moved, spp=64, method="path").image
     numbers = {
         "side": side, "spp": spp, "reference spp": reference, "seconds": fit.seconds, "steps": len(fit.history["step"]),
         "seconds compiling": fit.history["seconds"][0], "worst error": worst,
@@ -55,7 +50,8 @@ def main() -> None:
     curves = {"loss": (fit.history["seconds"], fit.history["loss"])}
     for name in NAMES:
         curves[f"error of {name}"] = fit.history["seconds"], np.abs(fit.history[name] - truth[name]).max(1)
-    fits.write(HERE, "fit_albedo", numbers | fits.circumstances(SEED), curves, shown | {"target": target})
+    shown = fits.on_the_way(start, fit) | {"target": target}
+    fits.write(HERE, "fit_albedo", numbers | fits.circumstances(SEED), curves, shown)
     print(
         f"{3 * len(NAMES)} reflectances within {worst:.4f} of the truth after {len(fit.history['step'])} steps and "
         f"{fit.seconds:.1f} s, of which {fit.history['seconds'][0]:.1f} s to the end of the first step (compiling); "

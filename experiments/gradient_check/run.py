@@ -2,7 +2,7 @@
 
     python experiments/gradient_check/run.py [--quick] [name ...]
 
-For each motion of `scenes.py` the derivative's picture by `jax.jvp`, with boundary terms and without, beside
+For each motion of `../stages.py` the derivative's picture by `jax.jvp`, with boundary terms and without, beside
 (I(θ+h) − I(θ−h)) / 2h: relative L1 of means over blocks of 4 x 4 pixels, and of the differences between two seeds,
 which is what noise alone makes of it. Writes results/gradient_check.csv, .json (machine, versions, seed) and, a row a
 motion, .png: picture, derivative, central differences, five times the error.
@@ -14,6 +14,7 @@ import argparse
 import csv
 import json
 import platform
+import sys
 import time
 from pathlib import Path
 from typing import Any
@@ -21,8 +22,10 @@ from typing import Any
 import jax
 import numpy as np
 
+sys.path.insert(0, str(Path(__file__).parent.parent))
+from stages import Motion, motions
+
 import jaxrt
-from scenes import Motion, motions
 
 HERE = Path(__file__).parent
 BLOCK, SEED = 4, 1

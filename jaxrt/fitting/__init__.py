@@ -2,6 +2,6 @@
 
 from .fit import fit
 from .result import Fit
-from .transforms import Smooth
+from .transforms import Shift, Smooth
 
-__all__ = ["Fit", "Smooth", "fit"]
+__all__ = ["Fit", "Shift", "Smooth", "fit"]

@@ -55,7 +55,8 @@ def fit(
 
     `targets`: (H, W, C), radiance in W·m⁻²·sr⁻¹; with `sensor` a list, as many of them. `free`: names or patterns of
     parameters ("*.reflectance"), or a mapping from these to what keeps them in bounds: "unit", "positive",
-    (lower, upper), "rigid" (of a to_world), "smooth" or `Smooth(λ)` (of vertices), "plain"; by default by name.
+    (lower, upper), "rigid" (of a to_world), "shift" or `Shift(directions)` (of one that does not turn), "smooth" or
+    `Smooth(λ)` (of vertices), "plain"; by default by name.
 
     `loss`: "l2", "relative" ((I − T)/√(T² + ε)), "log", "multiscale" (l2 of the picture and of halves down to one
     pixel), each a mean of squares, or a function (image, target) -> a loss, or residuals. `optimiser`: of optax, by

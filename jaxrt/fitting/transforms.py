@@ -75,11 +75,26 @@ class Between(Transform):
         return self.lower + (self.upper - self.lower) * jax.nn.sigmoid(z)
 
 
+def extent(scene: Scene, name: str, value: np.ndarray) -> tuple[np.ndarray, Any]:
+    """The middle and the size of what a `to_world` places: half the diagonal of its vertices' box, or what `to_world`
+    makes of a unit; of a sensor, its distance from the middle of the scene."""
+    if value.shape != (4, 4):
+        raise SceneError(f"{name}: has shape {value.shape}; a rigid motion is one of a to_world")
+    owner, found = name.rpartition(".")[0], params(scene)
+    middle, size = value[:3, 3], np.linalg.norm(value[:3, :3], axis=0).max()
+    if f"{owner}.vertices" in found:
+        corners = np.asarray(found[f"{owner}.vertices"]) @ value[:3, :3].T + value[:3, 3]
+        middle, size = (corners.min(0) + corners.max(0)) / 2, np.linalg.norm(np.ptp(corners, 0)) / 2
+    elif owner in scene.structure.sensor_ids:
+        places = np.asarray(scene.to_world)[np.unique(np.asarray(scene.face_shape)), :3, 3]
+        size = max(np.linalg.norm(places.mean(0) - middle), size)
+    return middle, size
+
+
 class Rigid(Transform):
     """A rigid motion of a `to_world` about the shape's middle: exp of a twist (se(3)), of 6 numbers.
 
-    z: rotation vector (radians) and velocity, in units of the shape's size: half the diagonal of its vertices' box, or
-    what `to_world` makes of a unit; of a sensor, its distance from the middle of the scene.
+    z: rotation vector (radians) and velocity, in units of the shape's size (`extent`).
     """
 
     to_world: Float[Array, "4 4"]
@@ -88,16 +103,7 @@ class Rigid(Transform):
 
     @classmethod
     def of(cls, scene: Scene, name: str, value: np.ndarray) -> Rigid:
-        if value.shape != (4, 4):
-            raise SceneError(f"{name}: has shape {value.shape}; a rigid motion is one of a to_world")
-        owner, found = name.rpartition(".")[0], params(scene)
-        middle, size = value[:3, 3], np.linalg.norm(value[:3, :3], axis=0).max()
-        if f"{owner}.vertices" in found:
-            corners = np.asarray(found[f"{owner}.vertices"]) @ value[:3, :3].T + value[:3, 3]
-            middle, size = (corners.min(0) + corners.max(0)) / 2, np.linalg.norm(np.ptp(corners, 0)) / 2
-        elif owner in scene.structure.sensor_ids:
-            places = np.asarray(scene.to_world)[np.unique(np.asarray(scene.face_shape)), :3, 3]
-            size = max(np.linalg.norm(places.mean(0) - middle), size)
+        middle, size = extent(scene, name, value)
         return cls(jnp.zeros(6), jnp.asarray(value), jnp.asarray(middle), jnp.asarray(size))
 
     def __call__(self, z: Array) -> Array:
@@ -108,6 +114,31 @@ class Rigid(Transform):
         motion = jax.scipy.linalg.expm(twist)
         about = motion.at[:3, 3].add(self.middle - motion[:3, :3] @ self.middle)
         return (about @ self.to_world).at[3].set(self.to_world[3])
+
+
+class Shifted(Transform):
+    """A `to_world` moved along directions (K, 3): z has a number for each, in units of their length times the size."""
+
+    to_world: Float[Array, "4 4"]
+    along: Float[Array, "K 3"]
+
+    def __call__(self, z: Array) -> Array:
+        return self.to_world.at[:3, 3].add(z @ self.along)
+
+
+class Shift(eqx.Module):
+    """A `to_world` is moved and not turned, along `directions`, each (x, y, z): by default the axes."""
+
+    directions: tuple[tuple[float, float, float], ...] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+
+    def __call__(self, scene: Scene, name: str, value: np.ndarray) -> Shifted:
+        along = np.asarray(self.directions, float)
+        if along.ndim != 2 or along.shape[1] != 3 or np.linalg.matrix_rank(along) < len(along):
+            raise SceneError(
+                f"{name}: {self.directions} are no directions; give one to three that differ, each (x, y, z)"
+            )
+        _, size = extent(scene, name, value)
+        return Shifted(jnp.zeros(len(along)), jnp.asarray(value), jnp.asarray(along * size))
 
 
 class Displaced(Transform):
@@ -166,6 +197,7 @@ NAMED: dict[str, Callable[..., Transform]] = {
     "positive": Positive.of,
     "unit": Between.of,
     "rigid": Rigid.of,
+    "shift": Shift(),
     "smooth": Smooth(),
 }
 

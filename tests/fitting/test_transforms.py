@@ -101,6 +101,19 @@ def test_the_middle_of_a_mesh_is_that_of_its_vertices():
     assert float(t.size) == pytest.approx(0.3 * 3**0.5, rel=0.05)
 
 
+@pytest.mark.parametrize("given", ["shift", jaxrt.Shift(((0.0, 0.0, 1.0), (1.0, 2.0, 0.0)))])
+def test_shifts_turn_nothing(given):
+    t = transform("ball.to_world", given)
+    start, axes = np.asarray(jaxrt.params(scene())["ball.to_world"], float), np.asarray(jaxrt.Shift().directions)
+    axes = axes if given == "shift" else np.asarray(given.directions)
+    z = np.linspace(0.2, -0.5, len(axes))
+    moved = np.asarray(t(jnp.asarray(z)), float) - start
+    np.testing.assert_allclose(t(t.start), start, atol=1e-6)
+    np.testing.assert_allclose(moved[:3, 3], z @ axes * 0.3 * 3**0.5, rtol=0.05)
+    np.testing.assert_array_equal(np.delete(moved, 3, 1), 0)
+    assert slope_error(t, t.start) < 1e-3
+
+
 def test_displacements_are_smooth():
     """(1 + λL)(v − v₀) = size · z, with L from the faces; a step at one vertex moves its neighbours nearly as far."""
     t = transform("ball.vertices", jaxrt.Smooth(10.0))
@@ -197,9 +210,12 @@ PICTURE = np.ones((12, 16, 3))
         ({"black.reflectance": "positive"}, {}, "black.reflectance: starts at 0, which a positive parameter cannot leave"),
         ({"floor_paint.reflectance": (0.2, 0.8)}, {}, "starts at 0.1 to 0.9, outside its bounds"),
         ({"floor_paint.reflectance": (0.8, 0.2)}, {}, "leave no room"),
-        ({"floor_paint.reflectance": "unity"}, {}, "'unity' is not known; give plain, positive, unit, rigid, smooth"),
+        ({"floor_paint.reflectance": "unity"}, {}, "'unity' is not known; give plain, positive, unit, rigid, shift, smooth"),
         ({"floor_paint.reflectance": 3}, {}, "is no transform"),
         ({"floor_paint.reflectance": "rigid"}, {}, "a rigid motion is one of a to_world"),
+        ({"floor_paint.reflectance": "shift"}, {}, "a rigid motion is one of a to_world"),
+        ({"floor.to_world": jaxrt.Shift((1.0, 0.0, 0.0))}, {}, "are no directions; give up to three"),
+        ({"floor.to_world": jaxrt.Shift(((1, 0, 0), (2, 0, 0)))}, {}, "are no directions; give up to three"),
         ({"floor.to_world": "smooth"}, {}, "has no Laplacian"),
         ("*paint*", {"targets": PICTURE[:8]}, r"has shape \(8, 16, 3\); give \(12, 16, 3\)"),
         ("*paint*", {"targets": PICTURE * np.nan}, "not finite"),

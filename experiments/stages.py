@@ -1,4 +1,4 @@
-"""Scenes in which something moves, by a number θ: where derivatives by what is seen are tried."""
+"""Scenes in which something moves: by a number θ, where derivatives by what is seen are tried, and for fits."""
 
 from __future__ import annotations
 
@@ -91,14 +91,14 @@ def stage(
     return jaxrt.Scene.build(shapes, sensors=[sensor], enclosure=jaxrt.Enclosure(enclosure))
 
 
-def room(res: int, *more: Any) -> jaxrt.Scene:
+def room(res: int, *more: Any, **kw: Any) -> jaxrt.Scene:
     """The same inside walls, which send light on."""
     walls = [
         jaxrt.Rectangle(id="back", to_world=placed(3.0, (0, 2, -2.5), "z"), bsdf=jaxrt.Diffuse([0.7])),
         jaxrt.Rectangle(id="left", to_world=placed(3.0, (-2.5, 2, 0), "x"), bsdf=jaxrt.Diffuse([0.8])),
         jaxrt.Rectangle(id="right", to_world=placed(3.0, (2.5, 2, 0), "-x"), bsdf=jaxrt.Diffuse([0.5])),
     ]
-    return stage(res, *walls, *more)
+    return stage(res, *walls, *more, **kw)
 
 
 def motions(res: int = 48) -> dict[str, Callable[[], Motion]]:
