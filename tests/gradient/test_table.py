@@ -123,7 +123,7 @@ def probing():
         asked.append("picture")
         return dark(world.plan.channels, n)
 
-    def paths(world, begin, steps, depths, seed, row, spp, field):
+    def paths(world, begin, steps, depths, seed, row, spp, field, moving):
         return dark(world.plan.channels, len(row))
 
     found = lambda *args: SimpleNamespace(stored=jnp.zeros(()), max_depth=args[-2])
