@@ -454,6 +454,7 @@ def test_irradiance_under_a_lamp_that_rises():
     assert float(up) == pytest.approx(want, rel=3e-3) and float(down) == pytest.approx(-want, rel=3e-3)
 
 
+@pytest.mark.slow
 def test_a_tube_of_light_that_tilts():
     """dE/dz of one end of an outward tube over a meter: central differences with the same numbers."""
     tube = jaxrt.Cylinder(id="tube", p0=(-1, 0, 1), p1=(1, 0, 1.2), radius=0.3, emission=1.0, bsdf=jaxrt.Diffuse(0.0))
