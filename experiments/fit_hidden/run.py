@@ -48,7 +48,7 @@ def room(side: int) -> jaxrt.Scene:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("--quick", action="store_true", help="smaller pictures, fewer samples: under a minute")
+    parser.add_argument("--quick", action="store_true", help="fewer samples")
     args = parser.parse_args()
     side, spp, reference = (24, 64, 4096) if args.quick else (24, 256, 8192)
     scene = room(side)

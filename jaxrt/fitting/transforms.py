@@ -134,9 +134,7 @@ class Shift(eqx.Module):
     def __call__(self, scene: Scene, name: str, value: np.ndarray) -> Shifted:
         along = np.asarray(self.directions, float)
         if along.ndim != 2 or along.shape[1] != 3 or np.linalg.matrix_rank(along) < len(along):
-            raise SceneError(
-                f"{name}: {self.directions} are no directions; give one to three that differ, each (x, y, z)"
-            )
+            raise SceneError(f"{name}: {along.tolist()} are no directions; give up to three independent (x, y, z)")
         _, size = extent(scene, name, value)
         return Shifted(jnp.zeros(len(along)), jnp.asarray(value), jnp.asarray(along * size))
 
