@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from .effects.costs import effect_costs
     from .files.ies import load_ies
     from .fitting import Fit, Shift, Smooth, fit
+    from .gradient.replicate import replicate
     from .loading import load
     from .operators import (
         D,
@@ -84,6 +85,7 @@ _HOMES = {
     "effects.costs": "effect_costs",
     "files.ies": "load_ies",
     "fitting": "Fit Shift Smooth fit",
+    "gradient.replicate": "replicate",
     "loading": "load",
     "operators": "D G K T add adjoint compose emission estimate inner neumann norm psi sub",
     "parts": "Bitmap Blend BumpMap Checkerboard Conductor Cube Cylinder Dielectric Diffuse Directional Disk"
@@ -194,6 +196,7 @@ __all__ = [
     "radiometry",
     "relative_mse",
     "render",
+    "replicate",
     "resized",
     "solve",
     "sub",
