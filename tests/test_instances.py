@@ -193,6 +193,7 @@ def test_cubes_and_rectangles_in_a_group():
         np.testing.assert_allclose(columns(a.normal)[met], columns(b.normal)[met], atol=1e-5)
 
 
+@pytest.mark.slow
 def test_groups_of_curved_shapes_are_written_out():
     """Each shape is one of the scene then, with its own transform; a mesh beside it faces as in an instance."""
     ball, toy = jaxrt.Sphere(id="ball", radius=0.3, center=(0, 0, 2)), group(level=1)

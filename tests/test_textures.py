@@ -95,6 +95,7 @@ def test_pictures_in_a_checkerboard():
     assert float(got) == pytest.approx(float(moved_by), rel=2e-3)
 
 
+@pytest.mark.slow
 def test_derivatives_with_respect_to_a_mixture():
     scene = table(jaxrt.Blend(jaxrt.Diffuse(0.2), jaxrt.Diffuse([0.9, 0.6, 0.3]), weight=0.3, id="mix"))
     got, want = slope(scene, "mix.weight", 1.0, jaxrt.plan(scene))

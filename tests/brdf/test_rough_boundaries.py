@@ -281,6 +281,7 @@ def _slopes(lobe, m, wi, wo):
 # ---------------------------------------------------------------------------------------- in a scene
 
 
+@pytest.mark.slow
 def test_roughness_and_index_move_what_is_derived():
     """Against differences; its derivatives are finite wherever roughness and index go."""
     paints = [jaxrt.Plastic(alpha=0.3, distribution=d, id=d) for d in ("ggx", "beckmann")]

@@ -177,6 +177,7 @@ def test_a_batch_stands_side_by_side():
     assert {"sensor:batch", "sensor:perspective", "sensor:radiancemeter"} <= jaxrt.plan(scene).effects
 
 
+@pytest.mark.slow
 def test_derivatives_through_a_batch_are_those_of_its_views():
     scene = under_a_ball()
     alone = scene.structure.sensors[0]

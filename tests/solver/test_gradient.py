@@ -433,6 +433,7 @@ def test_a_black_surface_can_be_left():
     np.testing.assert_allclose(jax.jit(f)(jnp.full(1, 0.6)), [0.6], rtol=1e-5)  # constants in a caller's program
 
 
+@pytest.mark.slow
 def test_irradiance_under_a_lamp_that_rises():
     """dE/dz by Lambert's formula for a square on its axis, in the lamp's height and in the meter's."""
     lamp = moved(0.5, (0, 0, 1), frame((0, 0, -1), (1, 0, 0)))
