@@ -31,9 +31,9 @@ LANES = 512
 APART = 2048
 """Rays in flight where searches stand between the parts of a bounce (512 costs 12 % more, 8192 10 %)."""
 
-WIDE = 2048
-"""Rays in flight under differentiation, where a program pays for starting each kernel (8192 takes 1.3 to 1.7 times as
-long, 1024 2.2 times)."""
+WIDE, STILL = 8192, 2048
+"""Rays in flight under differentiation, where a program pays for starting each kernel: where something moves (2048
+takes 1.7 times as long), and where nothing does (8192 takes 1.3 to 1.7 times, 1024 2.2 times as long)."""
 
 SILHOUETTE = 32.0
 """Points on edges that a picture's derivative takes per sample, in units of its side: of straight ones, of outlines of
@@ -133,13 +133,12 @@ def _means_jvp(primals: Any, tangents: Any) -> Any:
     if steps < 0:
         raise ValueError("measure: derivatives need a finite number of bounces; give max_depth= (1 is emission only)")
 
-    lanes = max(1, WIDE // numbers.shape[1]) * numbers.shape[1]
-    wide = _chunks(numbers.reshape(-1), lanes)
-
     def chunk(world: World, begin: Any, depths: path.Depths, seed: Any, field: Any, row: Any) -> Any:
         return path.trace_fixed(world, begin, steps, depths, seed, row, spp, field, moves)
 
     moves = any(a is not None for a in (tangents[0].geometry, *tangents[6])) or bool(jax.tree.leaves(tangents[1]))
+    lanes = max(1, (WIDE if moves else STILL) // numbers.shape[1]) * numbers.shape[1]
+    wide = _chunks(numbers.reshape(-1), lanes)
     slides = world.textures is not None and tangents[0].textures.to_uv is not None and world.plan.stepped
     if edges is not None and (moves or slides):
         kind = begin.sensor.kind if isinstance(begin, Picture) else ""

@@ -27,7 +27,7 @@ def picture_and_gradient():
     def image(r):
         return jaxrt.measure(jaxrt.with_params(scene, {"floor.reflectance": r}), 1, plan=plan, spp=4, max_depth=3)
 
-    measure.WIDE, dense.UNROLL = measure.LANES, 1
+    measure.STILL, dense.UNROLL = measure.LANES, 1
     weights = np.linspace(0.0, 1.0, SIZE * SIZE).reshape(SIZE, SIZE, 1)
     r = jaxrt.params(scene)["floor.reflectance"]
     field = jaxrt.solve(scene, 1, plan=plan, resolution=600, directions=16)  # three rows of elements
@@ -35,7 +35,7 @@ def picture_and_gradient():
 
 
 def test_two_devices_give_what_one_gives(tmp_path, monkeypatch, short_loops):
-    monkeypatch.setattr(measure, "WIDE", measure.WIDE)
+    monkeypatch.setattr(measure, "STILL", measure.STILL)
     one = picture_and_gradient()
     script = f"""
 import sys, jax, numpy
