@@ -1,30 +1,19 @@
-"""What experiments on fits share: their circumstances, strips of pictures, curves of loss."""
+"""What experiments on fits share: strips of pictures, curves of loss, and what is written of both."""
 
 from __future__ import annotations
 
 import json
 import os
-import platform
 from pathlib import Path
 from typing import Any
 
 import jax
 import numpy as np
 import optimistix
+from peer import circumstances
 
 import jaxrt
 from jaxrt.files.image import to_srgb
-
-
-def circumstances(seed: int) -> dict[str, Any]:
-    cpu = platform.processor() or platform.machine()
-    if Path("/proc/cpuinfo").exists():
-        names = [line for line in Path("/proc/cpuinfo").read_text().splitlines() if line.startswith("model name")]
-        cpu = names[0].partition(": ")[2] if names else cpu
-    return {
-        "cpu": cpu, "cores": len(os.sched_getaffinity(0)), "load": os.getloadavg(), "python": platform.python_version(),
-        "jax": jax.__version__, "numpy": np.__version__, "jaxrt": jaxrt.__version__, "seed": seed,
-    }  # fmt: skip
 
 
 def use_cores() -> None:
@@ -50,8 +39,24 @@ def on_the_way(start: jaxrt.Scene, fit: jaxrt.Fit, spp: int = 64, **how: Any) ->
     return {title: jaxrt.render(s, spp=spp, method="path", **how).image for title, s in shown.items()}
 
 
+def keeper(name: str, shape: tuple[int, ...], steps: int, frames: dict[str, Any]) -> Any:
+    """A `progress` of `jaxrt.fit` that puts a parameter of many numbers into `frames` after some steps."""
+    keep = chosen_steps(steps)
+
+    def kept(step: int, loss: float, values: dict[str, Any]) -> None:
+        if step - 1 in keep:
+            frames[f"step {step}"] = np.asarray(values[name]).reshape(shape)
+
+    return kept
+
+
 def write(
-    folder: Path, name: str, numbers: dict[str, Any], curves: dict[str, tuple[Any, Any]], strip: dict[str, Any]
+    folder: Path,
+    name: str,
+    seed: int,
+    numbers: dict[str, Any],
+    curves: dict[str, tuple[Any, Any]],
+    strip: dict[str, Any],
 ) -> None:
     """Writes results/{name}.json and .png: a strip of pictures (radiance, or sRGB in bytes), and curves of loss."""
     import matplotlib
@@ -61,7 +66,7 @@ def write(
 
     results = folder / "results"
     results.mkdir(exist_ok=True)
-    (results / f"{name}.json").write_text(json.dumps(numbers, indent=1, default=float))
+    (results / f"{name}.json").write_text(json.dumps(numbers | circumstances(seed), indent=1, default=float))
     fig = plt.figure(figsize=(2.1 * max(len(strip), 3), 4.8), layout="constrained")
     above, below = fig.subfigures(2, 1, height_ratios=(1, 1.1))
     for ax, (title, image) in zip(np.atleast_1d(above.subplots(1, len(strip))), strip.items(), strict=True):

@@ -1,12 +1,14 @@
-"""What experiments share: the peer, and a clock."""
+"""What experiments share: the peer, a clock, and what results say of their circumstances."""
 
 from __future__ import annotations
 
 import glob
 import os
+import platform
 import re
 import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 
@@ -28,6 +30,23 @@ def load_mitsuba() -> tuple[Any, str] | None:
         except Exception as error:  # no LLVM: Dr.Jit has no exception of its own for it
             print(f"{variant}: {str(error).splitlines()[0]}")
     return None
+
+
+def circumstances(seed: int) -> dict[str, Any]:
+    """Machine, versions and seed, as results record them."""
+    import jax
+    import numpy as np
+
+    import jaxrt
+
+    cpu = platform.processor() or platform.machine()
+    if Path("/proc/cpuinfo").exists():
+        names = [line for line in Path("/proc/cpuinfo").read_text().splitlines() if line.startswith("model name")]
+        cpu = names[0].partition(": ")[2] if names else cpu
+    return {
+        "cpu": cpu, "cores": len(os.sched_getaffinity(0)), "load": os.getloadavg(), "python": platform.python_version(),
+        "jax": jax.__version__, "numpy": np.__version__, "jaxrt": jaxrt.__version__, "seed": seed,
+    }  # fmt: skip
 
 
 def timed(call: Callable[[], float | None]) -> float:

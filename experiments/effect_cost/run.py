@@ -14,14 +14,15 @@ from __future__ import annotations
 import argparse
 import csv
 import json
-import os
-import platform
+import sys
 import time
 from pathlib import Path
 from typing import Any
 
-import jax
 import numpy as np
+
+sys.path.insert(0, str(Path(__file__).parent.parent))
+from peer import circumstances
 
 import jaxrt
 from jaxrt.effects.costs import SAMPLES, SIDE, Cost
@@ -50,17 +51,6 @@ def clock(scene: Any, cost: Cost, repeat: int) -> tuple[float, float, float]:
             spent.append(time.perf_counter() - start)
     noise = max(sorted(spent[1:])[min(1, repeat - 1)] - min(spent[1:]) for spent in times)
     return min(times[0][1:]), min(times[1][1:]), noise
-
-
-def circumstances() -> dict[str, Any]:
-    cpu = platform.processor() or platform.machine()
-    if Path("/proc/cpuinfo").exists():
-        names = [line for line in Path("/proc/cpuinfo").read_text().splitlines() if line.startswith("model name")]
-        cpu = names[0].partition(": ")[2] if names else cpu
-    return {
-        "cpu": cpu, "cores": len(os.sched_getaffinity(0)), "load": os.getloadavg(), "python": platform.python_version(),
-        "jax": jax.__version__, "numpy": np.__version__, "jaxrt": jaxrt.__version__, "seed": SEED,
-    }  # fmt: skip
 
 
 def draw(table: dict[str, dict[str, tuple[Cost, float]]], names: list[str]) -> None:
@@ -109,7 +99,7 @@ def main() -> None:
     names = [n for n in EFFECTS if (n in QUICK if args.quick else args.all or n in used)]
 
     (HERE / "results").mkdir(exist_ok=True)
-    (HERE / "results" / "effect_cost.json").write_text(json.dumps(circumstances(), indent=1))
+    (HERE / "results" / "effect_cost.json").write_text(json.dumps(circumstances(SEED), indent=1))
     table: dict[str, dict[str, tuple[Cost, float]]] = {}
     agree = compared = 0
     with (HERE / "results" / "effect_cost.csv").open("w", newline="") as file:

@@ -20,6 +20,8 @@ sys.path.insert(0, str(HERE.parent))
 import fits  # noqa: E402
 
 fits.use_cores()
+from stages import look_at  # noqa: E402
+
 import jaxrt  # noqa: E402
 
 SEED = 0
@@ -34,15 +36,6 @@ def sky(height: int) -> np.ndarray:
     picture = level[..., None] * np.stack([0.9 - 0.3 * v, 0.8 - 0.1 * v, 0.6 + 0.4 * (1 - v)], -1)
     window = (np.abs(u - 0.3) < 0.06) & (np.abs(v - 0.35) < 0.1)
     return np.where(window[..., None], [15.0, 13.0, 10.0], picture).astype(np.float32)
-
-
-def look_at(origin: tuple[float, float, float], target: tuple[float, float, float]) -> np.ndarray:
-    forward = np.subtract(target, origin) / np.linalg.norm(np.subtract(target, origin))
-    left = np.cross((0, 1, 0), forward) / np.linalg.norm(np.cross((0, 1, 0), forward))
-    m = np.eye(4)
-    m[:3, :3] = np.stack([left, np.cross(forward, left), forward], 1)
-    m[:3, 3] = origin
-    return m
 
 
 def balls(picture: np.ndarray, side: int, painted: bool = False) -> jaxrt.Scene:
@@ -72,12 +65,7 @@ def main() -> None:
     even = np.full_like(truth, truth.mean())
     target = jaxrt.render(balls(truth, side), spp=reference, seed=SEED + 1, method="path").image
     frames: dict[str, np.ndarray] = {"start": even}
-    keep = fits.chosen_steps(steps)
-
-    def kept(step: int, loss: float, values: dict) -> None:
-        if step - 1 in keep:
-            frames[f"step {step}"] = np.asarray(values[NAME]).reshape(truth.shape)
-
+    kept = fits.keeper(NAME, truth.shape, steps, frames)
     fit = jaxrt.fit(balls(even, side), target, NAME, loss="relative", spp=16, steps=steps, seed=SEED, progress=kept)
     found = np.asarray(fit.parameters[NAME]).reshape(truth.shape)
     lit = lambda picture: jaxrt.render(balls(picture, side, True), spp=reference, seed=SEED + 2, method="path").image
@@ -92,7 +80,7 @@ def main() -> None:
     }  # fmt: skip
     curves = {"loss": (fit.history["seconds"], fit.history["loss"])}
     shown = frames | {"truth": truth, "target": target}
-    fits.write(HERE, "fit_environment", numbers | fits.circumstances(SEED), curves, shown)
+    fits.write(HERE, "fit_environment", SEED, numbers, curves, shown)
     rms = lambda name: 100 * numbers[f"relMSE of {name}"] ** 0.5
     print(
         f"{truth.size} numbers of a sky after {steps} steps and {fit.seconds:.1f} s: other balls under it are within "

@@ -72,12 +72,7 @@ def main() -> None:
     target = jaxrt.render(scene, spp=reference, seed=SEED + 1, method="path").image
     start = jaxrt.with_params(scene, {NAME: np.full_like(jaxrt.params(scene)[NAME], 0.5)})
     frames: dict[str, np.ndarray] = {"start": np.full_like(truth, 0.5)}
-    keep = fits.chosen_steps(steps)
-
-    def kept(step: int, loss: float, values: dict) -> None:
-        if step - 1 in keep:
-            frames[f"step {step}"] = np.asarray(values[NAME]).reshape(truth.shape)
-
+    kept = fits.keeper(NAME, truth.shape, steps, frames)
     common = {"loss": "relative", "spp": 16, "steps": steps, "seed": SEED}
     fit = jaxrt.fit(start, target, NAME, progress=kept, **common)
     some = fit if args.quick else jaxrt.fit(start, target, NAME, pixels=side * side // 4, progress=False, **common)
@@ -93,7 +88,7 @@ def main() -> None:
         "loss, a quarter of the pixels a step": (some.history["seconds"], some.history["loss"]),
     }
     shown = {k: (255 * np.clip(v, 0, 1)).astype(np.uint8) for k, v in (frames | {"truth": truth}).items()}
-    fits.write(HERE, "fit_texture", numbers | fits.circumstances(SEED), curves, shown | {"target": target})
+    fits.write(HERE, "fit_texture", SEED, numbers, curves, shown | {"target": target})
     print(
         f"{3 * n * n} numbers of a texture: rms error {off(fit):.4f} after {steps} steps and {fit.seconds:.1f} s "
         f"({fit.history['seconds'][0]:.1f} s of them for the first), from {numbers['rms error at the start']:.3f}; "

@@ -13,7 +13,6 @@ from __future__ import annotations
 import argparse
 import csv
 import json
-import platform
 import sys
 import time
 from pathlib import Path
@@ -23,6 +22,7 @@ import jax
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parent.parent))
+from peer import circumstances
 from stages import Motion, motions
 
 import jaxrt
@@ -103,7 +103,7 @@ def main() -> None:
     parser.add_argument("names", nargs="*", help="motions; all by default")
     parser.add_argument("--quick", action="store_true", help="one motion, few samples: under a minute")
     args = parser.parse_args()
-    res, spp, reference = (24, 256, 4096) if args.quick else (48, 1024, 8192)
+    res, spp, reference = (24, 256, 4096) if args.quick else (48, 1024, 32768)
     known = motions(res)
     names = args.names or (["occluder moved"] if args.quick else list(known))
     rows = []
@@ -122,8 +122,7 @@ def main() -> None:
         writer = csv.writer(file)
         writer.writerow(["motion", *columns])
         writer.writerows([name, *(found[c] for c in columns)] for name, found in rows)
-    about = {"machine": platform.processor() or platform.machine(), "python": platform.python_version()}
-    about |= {"jax": jax.__version__, "jaxrt": jaxrt.__version__, "seed": SEED, "res": res, "spp": spp}
+    about = circumstances(SEED) | {"res": res, "spp": spp}
     (results / "gradient_check.json").write_text(json.dumps(about | {"reference_spp": reference}, indent=1))
     draw(rows, results / "gradient_check.png")
 

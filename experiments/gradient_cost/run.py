@@ -13,7 +13,6 @@ from __future__ import annotations
 import argparse
 import csv
 import json
-import platform
 import resource
 import subprocess
 import sys
@@ -27,7 +26,7 @@ import jax.numpy as jnp
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parent.parent))
-from peer import load_mitsuba
+from peer import circumstances, load_mitsuba
 
 import jaxrt
 
@@ -143,8 +142,7 @@ def main() -> None:
         writer = csv.DictWriter(file, ["way", "depth", "spp", "seconds", "first", "noise", "megabytes"])
         writer.writeheader()
         writer.writerows(rows)
-    about = {"machine": platform.processor() or platform.machine(), "python": platform.python_version()}
-    about |= {"jax": jax.__version__, "jaxrt": jaxrt.__version__, "seed": SEED, "res": res, "spp": spp}
+    about = circumstances(SEED) | {"res": res, "spp": spp}
     about |= {"mitsuba": getattr(peer[0], "__version__", None) if peer else None}
     (results / "gradient_cost.json").write_text(json.dumps(about, indent=1))
     draw([row for row in rows if "seconds" in row], results / "gradient_cost.png")

@@ -284,7 +284,7 @@ def shadows(world: World, edges: Edges, seen: Seen, value: Any, s: Stream) -> Sp
     bounds = fixed.light_bounds
     chances = fixed.light_rows[: bounds.shape[0], 13] if bounds.shape[0] > 1 else jnp.ones(1)
     cdf = jnp.cumsum(chances)
-    k = jnp.minimum(jnp.sum(cdf <= s.pair_at(2)[0] * cdf[-1]), len(chances) - 1)
+    k = _pick(cdf, s.pair_at(2)[0])
     chosen = choose(fixed, edges, x, n, s, edge.Cone.around(bounds[k], x), creases=False)
     j, r = chosen.edge, chosen.r
     free = jnp.where(dot(chosen.pole, chosen.beside - x) > 0, -1.0, 1.0)

@@ -147,7 +147,7 @@ def _means_jvp(primals: Any, tangents: Any) -> Any:
     if moves:
         world, begin, field = refused.once((world, begin, field))
     else:  # and where something moves only the second time
-        geometry, begin, placed = refused.once((world.geometry, begin, placed))
+        geometry, begin, _ = refused.once((world.geometry, begin, placed))
         world = eqx.tree_at(lambda w: w.geometry, world, geometry)
 
     def around(world: World, edges: Any, begin: Any, depths: path.Depths, seed: Any, row: Any) -> Any:
