@@ -170,6 +170,13 @@ def remembered(f: F) -> F:
     return cast(F, call)
 
 
+def chunks(numbers: Any, lanes: int) -> Any:
+    """Numbers in rows of at most `lanes`, the last row filled up from the start."""
+    n = numbers.shape[0]
+    lanes = min(lanes, n)
+    return numbers[jnp.arange(-(-n // lanes) * lanes) % n].reshape(-1, lanes)
+
+
 def over_devices(f: Any, rows: Any, *whole: Any) -> Any:
     """f(*whole, row) for each of `rows`, one after another on each device of this process."""
     devices, n = jax.local_devices(), rows.shape[0]
@@ -208,17 +215,20 @@ def one_function(f: Callable[..., Any]) -> Callable[..., Any]:
             structures.append(structure)
             zero = _zero(given)
             first = first.at[(0,) * first.ndim].add(zero.astype(first.dtype))
-            return [first, *others, zero]  # never one array: XLA would split it over threads
+            return [first, *others, first[(0,) * first.ndim], zero]  # never one array: XLA would split it over threads
 
         given = {k: leaf for k, leaf in enumerate(leaves) if k not in empty}
-        *values, _ = jax.jit(inner)(jax.lax.optimization_barrier(given))
+        # One barrier an array: of several, arrays without a tangent would be given one of zeros, a constant.
+        first, *others, spare, zero = jax.jit(inner)({k: jax.lax.optimization_barrier(a) for k, a in given.items()})
         try:
             from jax.experimental.xla_metadata import set_xla_metadata
 
-            values[0] = set_xla_metadata(values[0], inlineable="false", xla_cpu_small_call="true")
+            first = set_xla_metadata(first, inlineable="false", xla_cpu_small_call="true")
         except (ImportError, TypeError):  # a hint only: other versions of jax run without it
             pass
-        return jax.tree.unflatten(structures[-1], values)
+        at = (0,) * first.ndim
+        first = first.at[at].set(jnp.where(zero == 0, first[at], spare))  # so that derivatives have two arrays as well
+        return jax.tree.unflatten(structures[-1], [first, *others])
 
     return call
 

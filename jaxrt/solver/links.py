@@ -15,7 +15,8 @@ from jaxtyping import Array, Float, Int32
 
 from ..brdf import MaterialColumns
 from ..chart import off_surface
-from ..compiler import one_function, over_devices
+from ..compiler import chunks, one_function, over_devices
+from ..effects import Plan
 from ..rules import met_share
 from ..sampling.sobol import Stream, combine
 from ..surface import _row, radiance_of, surface_point
@@ -32,6 +33,9 @@ PATIENCE = 2
 
 DERIVED = 6
 """Reflections that derivatives follow a link."""
+
+WIDE = 2048
+"""Elements that are linked together under differentiation, as paths of pictures are."""
 
 ENDLESS = path.Depths(-1, 1 << 30, False)
 
@@ -147,8 +151,7 @@ def _links(world: World, elements: Elements, seed: Any, numbers: Any, count: int
         link, found = advance(world, elements, seed, follow, e, lane.sample, lane.link)
         real = lane.sample < count
         bucket = _bucket(lane.sample, link.path.depth, count, lengths)
-        add = lambda total, b: total.map(lambda a, c: a + jnp.where(real & (bucket == b), c, 0.0), found.light)
-        direct = tuple(add(total, b) for b, total in enumerate(lane.direct))
+        direct = _added(lane.direct, found.light, bucket, real)
         sample = lane.sample + found.ended.astype(lane.sample.dtype)
         link = where(found.ended, begin(world, elements, seed, e, jnp.minimum(sample, count - 1)), link)
         return _Lane(sample, link, direct), found
@@ -168,6 +171,12 @@ def _links(world: World, elements: Elements, seed: Any, numbers: Any, count: int
     )
     direct = jnp.stack([p.array() for p in lanes.direct], 1).reshape(n, 2, lengths, channels)
     return _scaled(world, elements, numbers, direct, target, weight, edges)
+
+
+def _added(direct: tuple[Spectrum, ...], light: Spectrum, bucket: Any, real: Any) -> tuple[Spectrum, ...]:
+    """Sums of direct light with what came now in one of them."""
+    add = lambda b, total: total.map(lambda a, c: a + jnp.where(real & (bucket == b), c, 0.0), light)
+    return tuple(add(b, total) for b, total in enumerate(direct))
 
 
 def _bucket(sample: Any, depth: Any, count: int, lengths: int) -> Any:
@@ -194,38 +203,43 @@ def _links_fixed(
     world: World, elements: Elements, seed: Any, numbers: Any, count: int, follow: bool, lengths: int
 ) -> Links:
     """`_links` link by link, each of a fixed number of steps: what is differentiated."""
-    channels = world.plan.channels
+    n, channels = numbers.shape[0], world.plan.channels
 
-    @functools.partial(jax.checkpoint, prevent_cse=False)
-    def one(world: World, elements: Elements, k: Any) -> Any:
+    def one(world: World, elements: Elements, seed: Any, numbers: Any, k: Any) -> Any:
         def element(e: Any) -> Any:
             def body(carry: Any, _: Any) -> Any:
-                link, going = carry
-                after, found = advance(world, elements, seed, follow, e, k, link)
-                live = lambda a: jnp.where(going, a, jnp.zeros_like(a))
+                link, going, direct, done = carry
+                after, found = world.settle(advance(world, elements, seed, follow, e, k, link))
                 bucket = _bucket(k, after.path.depth, count, lengths)
-                light = found.light.array()
-                light = jnp.stack([live(jnp.where(bucket == b, light, 0.0)) for b in range(2 * lengths)])
-                done = jax.tree.map(live, (found.target, found.weight.array(), found.edges))
-                return (where(going, after, link), going & ~found.ended), (light, done)
+                direct = _added(direct, found.light, bucket, going)
+                done = where(going, (found.target, found.weight, found.edges), done)
+                return (where(going, after, link), going & ~found.ended, direct, done), None
 
-            start = begin(world, elements, seed, e, k), jnp.asarray(True)
-            _, (light, done) = jax.lax.scan(body, start, None, length=DERIVED if follow else 1)
-            done = jax.tree.map(lambda a: a.sum(0), done)
-            return light.sum(0), done
+            link, zero = begin(world, elements, seed, e, k), Spectrum.full(channels, jnp.zeros((), world.faces.dtype))
+            start = link, jnp.asarray(True), (zero,) * (2 * lengths), (jnp.int32(BLACK), zero, jnp.int32(0))
+            steps = _derived(world.plan) if follow else 1
+            _, _, direct, (target, weight, edges) = jax.lax.scan(body, start, None, length=steps)[0]
+            return direct, (target, weight, edges)
 
         return jax.vmap(element)(numbers)
 
-    def add(carry: Any, k: Any) -> Any:
-        light, done = one(world, elements, k)
-        return carry + light, done
+    together = one_function(one) if world.plan.backend == "dense" else one
 
-    zero = jnp.zeros((numbers.shape[0], 2 * lengths, channels), world.faces.dtype)
-    light, (target, weight, edges) = jax.lax.scan(add, zero, jnp.arange(count, dtype=jnp.int32))
-    turned = lambda a: jnp.moveaxis(a, 0, 1)
-    direct = light.reshape(numbers.shape[0], 2, lengths, channels)
-    weight, edges = turned(weight) if follow else None, turned(edges) if follow and lengths > 1 else None
-    return _scaled(world, elements, numbers, direct, turned(target), weight, edges)
+    @functools.partial(jax.checkpoint, prevent_cse=False)
+    def add(direct: Any, k: Any) -> Any:
+        light, (target, weight, edges) = together(world, elements, seed, numbers, k)
+        return direct + jnp.stack([light.array() for light in light], 1), (target, weight.array(), edges)
+
+    zero = jnp.zeros((n, 2 * lengths, channels), world.faces.dtype)
+    direct, done = jax.lax.scan(add, zero, jnp.arange(count, dtype=jnp.int32))
+    target, weight, edges = (jnp.moveaxis(a, 0, 1) for a in done)
+    weight, edges = weight if follow else None, edges if follow and lengths > 1 else None
+    return _scaled(world, elements, numbers, direct.reshape(n, 2, lengths, channels), target, weight, edges)
+
+
+def _derived(plan: Plan) -> int:
+    """Reflections after which derivatives give up a link: on diffuse surfaces alone it has ended by then."""
+    return PATIENCE + 1 if plan.lobes == ("diffuse",) and not plan.instances else DERIVED
 
 
 def link_rows(world: World, elements: Elements, seed: Any, rows: Any, count: int, follow: bool, lengths: int) -> Links:
@@ -255,6 +269,7 @@ def _link_rows_jvp(primals: Any, tangents: Any) -> Any:
 
     def fixed(world: World) -> Links:
         one = lambda world, elements, seed, row: _links_fixed(world, elements, seed, row, count, follow, lengths)
-        return over_devices(one, rows, _met(world, elements), elements, seed)
+        found = over_devices(one, chunks(rows.reshape(-1), WIDE), _met(world, elements), elements, seed)
+        return jax.tree.map(lambda a: a.reshape(-1, *a.shape[2:])[: rows.size].reshape(*rows.shape, *a.shape[2:]), found)
 
     return eqx.filter_jvp(fixed, (world,), (tangents[0],))

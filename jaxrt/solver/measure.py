@@ -14,7 +14,7 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
-from ..compiler import over_devices
+from ..compiler import chunks, over_devices
 from ..effects import Plan, fitting
 from ..gradient import refused, silhouettes, visibility
 from ..gradient.edges import edges_of
@@ -76,13 +76,6 @@ def seen_by(view: Picture, depths: path.Depths) -> path.Depths:
     return dataclasses.replace(depths, hide_emitters=depths.hide_emitters & False) if view.searches else depths
 
 
-def _chunks(numbers: Any, lanes: int) -> Any:
-    """Numbers in rows of at most `lanes`, the last row filled up from the start."""
-    n = numbers.shape[0]
-    lanes = min(lanes, n)
-    return numbers[jnp.arange(-(-n // lanes) * lanes) % n].reshape(-1, lanes)
-
-
 def _compensated(step: Any, start: Any, count: int) -> Any:
     """Σ step(k), k < count, by Kahan's sum."""
 
@@ -138,7 +131,7 @@ def _means_jvp(primals: Any, tangents: Any) -> Any:
 
     moves = any(a is not None for a in (tangents[0].geometry, *tangents[6])) or bool(jax.tree.leaves(tangents[1]))
     lanes = max(1, (WIDE if moves else STILL) // numbers.shape[1]) * numbers.shape[1]
-    wide = _chunks(numbers.reshape(-1), lanes)
+    wide = chunks(numbers.reshape(-1), lanes)
     slides = world.textures is not None and tangents[0].textures.to_uv is not None and world.plan.stepped
     if edges is not None and (moves or slides):
         kind = begin.sensor.kind if isinstance(begin, Picture) else ""
@@ -186,7 +179,7 @@ def _pixels(
     scene, begin = in_working_precision((scene, begin))
     world = prepare(scene, plan)
     asked = jnp.arange(n, dtype=jnp.int32) if some is None else some
-    numbers = _chunks(asked, lanes_of(plan))
+    numbers = chunks(asked, lanes_of(plan))
     steps = max_depth + 2 * plan.hide_emitters if max_depth > 0 else max_depth  # to pass both sides of a lamp
     edges = edges_of(scene, world) if boundary else None
     values = _means(

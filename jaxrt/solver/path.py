@@ -133,12 +133,29 @@ _USED = ("position", "normal", "shading", "tangent", "bitangent", "place", "dist
 
 def _land(world: World, depths: Depths, state: PathState, s: Stream, face: Any) -> Landing:
     """The point on a face where the path lands; emission met there, and a light sample."""
+    plan, landing, u = world.plan, *_met(world, depths, state, s, face)
+    x, s, alive = landing.x, landing.s, landing.alive
+    if not plan.bounces:
+        return landing
+    at = shading_at(world, x, -state.d, u, state.before is not None)
+    if not plan.lights:
+        return replace(landing, at=at)
+    # Direct light by a light sample, weighted against reflection.
+    node, light = world.settle(light_node(world, x, at, s))
+    useful = node.pdf if state.before is not None else node.weight.max()  # black surfaces have derivatives
+    asked = alive & (sg(useful) > 0)
+    share = sg(balance(node.pdf, reflection_density(world, at, node.w)))
+    lit = state.beta * node.weight * light.radiance
+    return replace(landing, at=at, origin=leave(world, x, node.w), light=light, asked=asked, lit=lit, share=share)
+
+
+def _met(world: World, depths: Depths, state: PathState, s: Stream, face: Any) -> tuple[Landing, Any]:
+    """The point on a face where the path lands, with the emission met there, and which of a surface's lobes it meets."""
     plan = world.plan
     x = surface_point(world, face, state.o, state.d)
     used = {name: getattr(x, name) for name in _USED}
     used, s, u = world.settle((used, Drawn.of(s, BOUNCE_PAIRS), choice(world, s)))
     x = replace(x, **used)
-    wo = -state.d
     # Emission met by reflection, weighted against the chance of having drawn it as a light.
     share = met_share(world, x, state.o, state.d, state.pdf, state.delta)
     passed = jnp.zeros_like(state.alive)
@@ -149,26 +166,14 @@ def _land(world: World, depths: Depths, state: PathState, s: Stream, face: Any) 
     follows = (state.depth + 1 < depths.max_depth) | (depths.max_depth < 0)
     if state.clear is not None:  # as Mitsuba: lamps are seen there, but not the enclosure
         seen = seen & ~(state.clear & depths.hide_emitters & ((x.face < 0) | ~follows))
-    met = state.beta * radiance_of(world, x, wo) * share
+    met = state.beta * radiance_of(world, x, -state.d) * share
     if state.before is not None and state.slopes is not None and plan.lights:
         met = met * material.met(
             world, state.before, x, state.slopes, seen & ~state.delta & (x.light_density > 0) & (x.face >= 0)
         )
     radiance = state.radiance + met.map(lambda c: jnp.where(seen, c, 0.0))
     alive = state.alive & ~passed & (x.face >= 0) & follows
-    landing = Landing(x, s, passed, alive, radiance)
-    if not plan.bounces:
-        return landing
-    at = shading_at(world, x, wo, u, state.before is not None)
-    if not plan.lights:
-        return replace(landing, at=at)
-    # Direct light by a light sample, weighted against reflection.
-    node, light = world.settle(light_node(world, x, at, s))
-    useful = node.pdf if state.before is not None else node.weight.max()  # black surfaces have derivatives
-    asked = alive & (sg(useful) > 0)
-    share = sg(balance(node.pdf, reflection_density(world, at, node.w)))
-    lit = state.beta * node.weight * light.radiance
-    return replace(landing, at=at, origin=leave(world, x, node.w), light=light, asked=asked, lit=lit, share=share)
+    return Landing(x, s, passed, alive, radiance), u
 
 
 def _reflect(world: World, depths: Depths, state: PathState, landing: Landing, node: Any = None) -> PathState:
@@ -372,6 +377,14 @@ def trace_fixed(
 
     `moving`: whether surfaces or the camera do.
     """
+    whole = world.plan.bounces and world.plan.backend == "dense"
+    fixed = functools.partial(_fixed, steps, spp, moving)
+    return (one_function(fixed) if whole else fixed)(world, begin, depths, seed, numbers, field)[0]
+
+
+def _fixed(
+    steps: int, spp: int, moving: bool, world: World, begin: Any, depths: Depths, seed: Any, numbers: Any, field: Any
+) -> tuple[Any]:
     watched = begin if field is None else Watched(begin)
 
     @functools.partial(jax.checkpoint, prevent_cse=False)
@@ -386,9 +399,14 @@ def trace_fixed(
                 return bounce(world, depths, path, turn), None
 
             path = _attached(world, begin, number, s, moving)
-            radiance = jax.lax.scan(body, path, None, length=max(steps, 1))[0].radiance.array()
+            if field is not None:
+                radiance = jax.lax.scan(body, path, None, length=max(steps, 1))[0].radiance
+            else:  # nothing is reflected where the last edge ends
+                path = jax.lax.scan(body, path, None, length=max(steps, 1) - 1)[0]
+                face = world.settle(world.search.closest(path.o, path.d))
+                radiance = _met(world, depths, path, bounce_stream(s, path.depth), face)[0].radiance
             weight = begin.weight(world, number, s)
-            return radiance if weight is None else radiance * weight
+            return radiance.array() if weight is None else radiance.array() * weight
 
         return jax.vmap(one)(numbers)
 
@@ -399,4 +417,4 @@ def trace_fixed(
         return (new, sg((new - total) - value)), None
 
     zero = jnp.zeros((numbers.shape[0], world.plan.channels), world.faces.dtype)
-    return jax.lax.scan(add, (zero, zero), jnp.arange(spp, dtype=jnp.int32))[0][0] / spp
+    return (jax.lax.scan(add, (zero, zero), jnp.arange(spp, dtype=jnp.int32))[0][0] / spp,)
