@@ -12,7 +12,7 @@ from collections.abc import Sequence
 
 from .checks import LARGEST, SceneError, check, matrix, scalar, spectrum, unit, varying
 from .composites import Blend, BumpMap, Mask, NormalMap
-from .lamps import LAMPS, Directional, Enclosure, Goniometric, Lamp, Point, Projector, Spot
+from .lamps import LAMPS, Directional, Enclosure, Goniometric, Lamp, Point, Projector, Spot, Sun, brightness
 from .principled import Principled, PrincipledThin
 from .reflectances import Bsdf, Conductor, Dielectric, Diffuse, Null, Plastic, Row, TwoSided
 from .sensors import Film, Sensor
@@ -94,8 +94,10 @@ __all__ = [
     "Shape",
     "Sphere",
     "Spot",
+    "Sun",
     "Texture",
     "TwoSided",
+    "brightness",
     "check",
     "matrix",
     "scalar",
