@@ -31,6 +31,7 @@ from .parts import (
     SdfGrid,
     Sensor,
     Shape,
+    Sky,
     Sphere,
     Spot,
     Sun,
@@ -150,7 +151,8 @@ def build(
     emitters = ["", around_name]
     if isinstance(enclosure.radiance, Texture):
         radiance_map[1] = textures.number(enclosure.radiance, f"{around_name}.radiance", shapes[0], 0, False)[0]
-        names.add(f"{around_name}.to_world", "around_to_world", 0)
+        if not isinstance(enclosure.radiance, Sky):
+            names.add(f"{around_name}.to_world", "around_to_world", 0)
     else:
         names.add(f"{around_name}.radiance", "radiance", 1)
     by_kind: dict[str, list[tuple[int, np.ndarray]]] = {k: [] for k in KINDS}

@@ -304,6 +304,7 @@ def prepare(scene: Scene, plan: Plan) -> World:
     if plan.environment:  # like a face, of number −1
         row = jnp.zeros((1, light_rows.shape[1])).at[0, 13].set(chance[-1]).at[0, 14 + plan.channels].set(-1.0)
         light_rows = joined(jnp.concatenate([light_rows, row.astype(side.dtype)]))
+    around = "sky" if "sky" in plan.textures else "bitmap"
     sun = Sun.of(scene, plan.channels, of_lamp[:, 0]) if "sun" in plan.lamp_kinds else None
     table = MaterialColumns(scene.channels)
     held = [f for f in plan.fields if f in table.at]
@@ -340,7 +341,7 @@ def prepare(scene: Scene, plan: Plan) -> World:
         present=jax.lax.rng_uniform(0.0, 1.0, ()) >= 0,  # not of the scene, which a closure may make constant
         instances=instances,
         grids=grids,
-        environment=Environment.of(scene, plan.environment) if plan.environment else None,
+        environment=Environment.of(scene, plan.environment, around) if plan.environment else None,
         sun=sun,
         textures=Textures.of(scene, plan.channels, plan.textures, plan.nested) if plan.textures or plan.web else None,
         plan=plan,

@@ -1,4 +1,4 @@
-"""The sun and the sky of a Mitsuba scene as parts: an enclosure with a picture, and the sun's disc."""
+"""The sun and the sky of a Mitsuba scene as parts: an enclosure with a sky, and the sun's disc."""
 
 from __future__ import annotations
 
@@ -13,9 +13,6 @@ from .mitsuba_context import Context
 from .mitsuba_materials import SAMPLING, color
 from .mitsuba_xml import Element
 from .solar_position import sun_direction
-
-WIDTH = 2048
-"""Of the sky's picture: .18° a texel, half of the width of the sun."""
 
 TOKYO = {"latitude": 35.6894, "longitude": 139.6917, "timezone": 9.0}
 DAY = {"year": 2010, "month": 7, "day": 10}
@@ -48,13 +45,15 @@ def sunsky(ctx: Context, element: Element) -> tuple[parts.Enclosure, list[parts.
     if towards[2] < 0:
         ctx.notes.append(f"{element.node.label}: its sun is below the horizon, so that it is dark, as in Mitsuba")
         sun_scale = sky_scale = 0.0
+    elevation = float(np.arcsin(np.clip(towards[2], 0, 1)))
     radiance: Any = 0.0
     if sky_scale > 0:
-        radiance = parts.Bitmap(sky.picture(turbidity, albedo, towards, WIDTH) * np.float32(sky_scale))
+        found = sky.coefficients(turbidity, albedo, elevation) * np.append(np.ones(9), sky_scale)
+        radiance = ctx.part(element, parts.Sky, coefficients=found, sun=UPRIGHT[:3, :3].T @ towards)
     around = parts.Enclosure(radiance, to_world @ UPRIGHT, name)
     if not sun_scale > 0:
         return around, []
-    light = np.maximum(sky.sun_radiance(turbidity, float(np.arcsin(min(towards[2], 1.0))), aperture), 0) * sun_scale
+    light = np.maximum(sky.sun_radiance(turbidity, elevation, aperture), 0) * sun_scale
     return around, [
         ctx.part(
             element,

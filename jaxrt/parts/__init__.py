@@ -17,6 +17,7 @@ from .principled import Principled, PrincipledThin
 from .reflectances import Bsdf, Conductor, Dielectric, Diffuse, Null, Plastic, Row, TwoSided
 from .sensors import Film, Sensor
 from .shapes import Cube, Cylinder, Disk, Group, Instance, Mesh, Rectangle, SdfGrid, Shape, Sphere
+from .sky import Sky
 from .textures import LUMINANCE, Bitmap, Checkerboard, MeshAttribute, Product, Texture
 from .web import PhotometricWeb
 
@@ -92,6 +93,7 @@ __all__ = [
     "SdfGrid",
     "Sensor",
     "Shape",
+    "Sky",
     "Sphere",
     "Spot",
     "Sun",

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from .checks import LARGEST, SceneError, check, matrix, scalar, spectrum, unit, varying
+from .sky import Sky
 from .textures import Bitmap, Texture
 from .web import PhotometricWeb
 
@@ -165,7 +166,7 @@ class Enclosure:
     """The surface around the scene on which every ray lands: it emits `radiance` and reflects nothing.
 
     A `Bitmap` is a map of all directions: its columns go around +y of its own space, from −z over +x, its rows from +y
-    down to −y. Its `to_uv` and wrapping have no use here. `to_world` turns it.
+    down to −y. Its `to_uv` and wrapping have no use here. A `Sky` has its zenith at +y. `to_world` turns either.
     """
 
     radiance: Any = 0.0
@@ -174,8 +175,10 @@ class Enclosure:
 
     def __post_init__(self):
         name = self.id or "enclosure"
-        self.radiance = varying(self.radiance, f"{name}.radiance")
         self.to_world = matrix(self.to_world, f"{name}.to_world")
+        if isinstance(self.radiance, Sky):
+            return
+        self.radiance = varying(self.radiance, f"{name}.radiance")
         if isinstance(self.radiance, Texture):
             if not isinstance(self.radiance, Bitmap):
                 raise SceneError(f"{name}.radiance: is no Bitmap; give one, or a colour")
