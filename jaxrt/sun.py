@@ -13,12 +13,16 @@ import jax.numpy as jnp
 import numpy as np
 from jax.lax import stop_gradient as sg
 
+from . import parts
 from .parts import LAMPS
 from .sampling.warp import uniform_cone
 from .vector import Frame, Spectrum, Vec3, dot, normalise
 
 if TYPE_CHECKING:
     from .scene import Scene
+
+
+BLACK = parts.Sun(radiance=0.0).row()
 
 
 class Sun(eqx.Module):
@@ -33,10 +37,14 @@ class Sun(eqx.Module):
 
     @classmethod
     def of(cls, scene: Scene, channels: int, chances: Any) -> Sun:
-        """`chances`: of each lamp of the scene."""
-        k = jnp.argmax(scene.lamps[:, 8] == LAMPS.index("sun"))
-        row, light = sg(scene.lamps[k]), scene.radiance[scene.lamp_radiance[k], :channels]
-        return cls(normalise(-Vec3.of(row[3:6])), Vec3.of(row[9:12]), row[6], Spectrum.of(light), sg(chances[k]))
+        """`chances`: of each lamp of the scene. One without a sun has a black one."""
+        here = (scene.lamps[:, 8] == LAMPS.index("sun")) & (scene.lamp_radiance > 0)
+        below = lambda table, last: jnp.concatenate([table, jnp.asarray(last, scene.lamps.dtype)[None]])
+        k = jnp.argmax(jnp.append(here, True))
+        row = sg(below(scene.lamps, BLACK)[k])
+        light = below(scene.radiance[scene.lamp_radiance], np.zeros(scene.radiance.shape[1]))[k, :channels]
+        chance = sg(below(chances, 0.0)[k])
+        return cls(normalise(-Vec3.of(row[3:6])), Vec3.of(row[9:12]), row[6], Spectrum.of(light), chance)
 
     def sample(self, u: tuple[Any, Any]) -> Vec3:
         """A direction into the disc."""

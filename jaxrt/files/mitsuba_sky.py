@@ -38,6 +38,8 @@ def sunsky(ctx: Context, element: Element) -> tuple[parts.Enclosure, list[parts.
     albedo = np.broadcast_to(ctx.part(element, lambda: parts.spectrum(given, "albedo", most=1.0)), 3)
     sun_scale, sky_scale = (number(name, 1.0, least=0.0) for name in ("sun_scale", "sky_scale"))
     aperture = number("sun_aperture", sky.APERTURE)
+    if not 0 < aperture < 180:
+        element.fail(f"sun_aperture: is {aperture:g}; give an angle between 0 and 180 degrees")
     if ctx.boolean(element, "complex_sun", False):
         element.fail("has a complex_sun, which is not supported; leave it out for a disc that is even")
     ctx.finish(element, SAMPLING)
