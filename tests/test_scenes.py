@@ -1,7 +1,6 @@
 """The scenes in scenes/: they load, give sensible pictures, and the same ones as Mitsuba 3."""
 
 import functools
-import importlib.util
 import subprocess
 import sys
 from pathlib import Path
@@ -20,14 +19,6 @@ SIZE = 24  # pixels to a side: one size, so that tests share compiled programs
 @functools.cache
 def scene(name, **defaults):
     return jaxrt.load(FOLDER / name, res=SIZE, **defaults)
-
-
-def module(path):
-    """A script of the repository, as a module."""
-    spec = importlib.util.spec_from_file_location(Path(path).stem, FOLDER.parent / path)
-    made = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(made)
-    return made
 
 
 def test_there_are_scenes():

@@ -153,6 +153,7 @@ def test_parts_that_do_not_work():
 # ---------------------------------------------------------------------------------------- against Mitsuba
 
 
+@pytest.mark.slow
 @pytest.mark.peer
 def test_radiance_is_that_of_mitsuba(tmp_path):
     """At random turbidities, albedos, turns, and directions of the sun and of rays; also into a large sun, but for low
