@@ -203,7 +203,7 @@ def test_the_sun_stands_where_mitsuba_has_it():
         hours = 12 + time["minute"] / 60 - zone
         ours = sun_direction(datetime.date(year, month, day), hours, **place)
         theirs = np.array(mi.traverse(peer)["sun_direction"]).ravel()
-        assert np.degrees(np.linalg.norm(ours - theirs)) < 0.15
+        assert np.degrees(np.linalg.norm(ours - theirs)) < 0.06
 
 
 SCENE = """<integrator type="path"><integer name="max_depth" value="3"/></integrator>
