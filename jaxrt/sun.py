@@ -14,7 +14,6 @@ import numpy as np
 from jax.lax import stop_gradient as sg
 
 from . import parts
-from .parts import LAMPS
 from .sampling.warp import uniform_cone
 from .vector import Frame, Spectrum, Vec3, dot, normalise
 
@@ -23,6 +22,7 @@ if TYPE_CHECKING:
 
 
 BLACK = parts.Sun(radiance=0.0).row()
+"""A lamp's row of a scene into which a plan forces a sun."""
 
 
 class Sun(eqx.Module):
@@ -38,7 +38,7 @@ class Sun(eqx.Module):
     @classmethod
     def of(cls, scene: Scene, channels: int, chances: Any) -> Sun:
         """`chances`: of each lamp of the scene. One without a sun has a black one."""
-        here = (scene.lamps[:, 8] == LAMPS.index("sun")) & (scene.lamp_radiance > 0)
+        here = (scene.lamps[:, 8] == parts.LAMPS.index("sun")) & (scene.lamp_radiance > 0)
         below = lambda table, last: jnp.concatenate([table, jnp.asarray(last, scene.lamps.dtype)[None]])
         k = jnp.argmax(jnp.append(here, True))
         row = sg(below(scene.lamps, BLACK)[k])
