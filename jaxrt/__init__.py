@@ -67,6 +67,7 @@ if TYPE_CHECKING:
         Sensor,
         Sphere,
         Spot,
+        Sun,
         TwoSided,
     )
     from .rules import BrdfRule, LightRule, MisRule, QuadratureRule
@@ -91,7 +92,7 @@ _HOMES = {
     "parts": "Bitmap Blend BumpMap Checkerboard Conductor Cube Cylinder Dielectric Diffuse Directional Disk"
     " Enclosure Film Goniometric Group Instance Integrator Mask Mesh MeshAttribute NormalMap Null PhotometricWeb"
     " Plastic Point Principled PrincipledThin Product Projector Rectangle SceneError SdfGrid Sensor Sphere Spot"
-    " TwoSided",
+    " Sun TwoSided",
     "rules": "BrdfRule LightRule MisRule QuadratureRule",
     "sampling.sobol": "Stream",
     "scene": "Scene params with_params",
@@ -170,6 +171,7 @@ __all__ = [
     "Sphere",
     "Spot",
     "Stream",
+    "Sun",
     "SurfacePoint",
     "T",
     "TwoSided",

@@ -31,9 +31,12 @@ from .parts import (
     SdfGrid,
     Sensor,
     Shape,
+    Sky,
     Sphere,
     Spot,
+    Sun,
     Texture,
+    brightness,
 )
 from .scene import KINDS, Scene, Structure
 from .sensor.rows import Rows
@@ -128,12 +131,14 @@ def build(
     if not shapes:
         raise SceneError(f"{source or 'scene'}: has no shapes; add at least one")
     enclosure, integrator = enclosure or Enclosure(), integrator or Integrator()
-    keys = ["irradiance" if hasattr(lamp, "irradiance") else "intensity" for lamp in lamps]
+    keys = [brightness(lamp) for lamp in lamps]
     bright = [getattr(lamp, key) for lamp, key in zip(lamps, keys, strict=True)]
     means = [v.mean() if isinstance(v, Texture) else v for v in bright]
     around = enclosure.radiance.mean() if isinstance(enclosure.radiance, Texture) else enclosure.radiance
     longest = max([around.size] + [v.size for s in shapes for v in _spectra(s)] + [v.size for v in means])
     c = longest if channels is None else channels
+    if len(suns := [lamp for lamp in lamps if isinstance(lamp, Sun)]) > 1:
+        raise SceneError(f"{suns[1].id or 'sun'}: is a second sun; keep one")
     names = Names()
     ids = [names.part(s.id or type(s).__name__.lower()) for s in shapes]
     textures = Textures(c, names)
@@ -146,7 +151,8 @@ def build(
     emitters = ["", around_name]
     if isinstance(enclosure.radiance, Texture):
         radiance_map[1] = textures.number(enclosure.radiance, f"{around_name}.radiance", shapes[0], 0, False)[0]
-        names.add(f"{around_name}.to_world", "around_to_world", 0)
+        if not isinstance(enclosure.radiance, Sky):
+            names.add(f"{around_name}.to_world", "around_to_world", 0)
     else:
         names.add(f"{around_name}.radiance", "radiance", 1)
     by_kind: dict[str, list[tuple[int, np.ndarray]]] = {k: [] for k in KINDS}

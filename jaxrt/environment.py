@@ -1,4 +1,4 @@
-"""Light of an enclosure with a texture: looked up by direction, and sampled where it is bright.
+"""Light of an enclosure with a picture or a sky: looked up by direction, and sampled where it is bright.
 
 Directions have coordinates (u, v): φ/2π around +y of the enclosure's own space, from −z over +x, and θ/π from +y. The
 density is even in each cell of a grid as fine as the texture, in proportion to what comes from there; a share is spread
@@ -15,8 +15,9 @@ import jax.numpy as jnp
 import numpy as np
 from jax.lax import stop_gradient as sg
 
+from . import sky
 from .sampling.warp import invert, uniform_sphere
-from .texture import LAYOUT
+from .texture import LAYOUT, sky_rows
 from .vector import Vec3, normalise, safe_sqrt, transform_vector, where
 
 if TYPE_CHECKING:
@@ -24,6 +25,25 @@ if TYPE_CHECKING:
 
 EVEN = 0.05
 """Of the samples, those that go into all directions alike."""
+
+
+def _bitmap_lines(scene: Scene, first: Any, width: int, height: int) -> Any:
+    """A picture at edges and middles of the grid's rows, (2 height + 1, width), in the mean of its channels."""
+    texels = jax.lax.dynamic_slice_in_dim(scene.texels, first, width * height).mean(-1).reshape(height, width)
+    rows = (jnp.arange(2 * height + 1) / (2.0 * height)) * (height - 1)
+    low = jnp.minimum(rows.astype(jnp.int32), height - 2)
+    part = (rows - low)[:, None].astype(texels.dtype)
+    return texels[low] * (1.0 - part) + texels[low + 1] * part
+
+
+def _sky_lines(scene: Scene, first: Any, width: int, height: int) -> Any:
+    """The same of a sky."""
+    u, v = (jnp.arange(width) + 0.5) / width, jnp.arange(2 * height + 1)[:, None] / (2.0 * height)
+    dtype = scene.texels.dtype
+    return sky.look_up(sky_rows(scene.texels, first), u[None].astype(dtype), v.astype(dtype)).array().mean(-1)
+
+
+LINES = {"bitmap": _bitmap_lines, "sky": _sky_lines}
 
 
 class Environment(eqx.Module):
@@ -37,15 +57,11 @@ class Environment(eqx.Module):
     density: Any
 
     @classmethod
-    def of(cls, scene: Scene, size: tuple[int, int]) -> Environment:
-        """`size`: width and height of the enclosure's texture."""
+    def of(cls, scene: Scene, size: tuple[int, int], kind: str) -> Environment:
+        """`size`: width and height of the enclosure's texture; `kind`: of that, bitmap or sky."""
         (width, height), first = size, scene.textures[scene.radiance_map[1], LAYOUT.index("offset")]
-        texels = sg(jax.lax.dynamic_slice_in_dim(scene.texels, first, width * height)).mean(-1).reshape(height, width)
         # Means over cells whose corners lie between texels, and what bleeds in from beside them.
-        rows = (jnp.arange(2 * height + 1) / (2.0 * height)) * (height - 1)
-        low = jnp.minimum(rows.astype(jnp.int32), height - 2)
-        part = (rows - low)[:, None].astype(texels.dtype)
-        lines = texels[low] * (1.0 - part) + texels[low + 1] * part  # at edges and middles of the grid's rows
+        lines = sg(LINES[kind](scene, first, width, height))
         light = 0.25 * lines[:-2:2] + 0.5 * lines[1:-1:2] + 0.25 * lines[2::2]
         light = 0.75 * light + 0.125 * (jnp.roll(light, 1, 1) + jnp.roll(light, -1, 1))
         theta = (np.arange(height) + 0.5) * np.pi / height

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from .brdf import LOBES, NODES, SPECTRA, MaterialColumns
-from .parts import Mesh, PhotometricWeb, SceneError, Shape, TwoSided
+from .parts import Mesh, PhotometricWeb, SceneError, Shape, Sky, TwoSided
 from .parts.textures import LUMINANCE, TEXTURES, Bitmap, Checkerboard, MeshAttribute, Product, Texture
 from .scene import Slot
 from .texture import table_row
@@ -106,6 +106,8 @@ class Textures:
         return texture.on(shape.attributes, shape.faces, len(shape.vertices), where)
 
     def _name(self, texture: Texture, name: str, start: int, count: int, number: int) -> None:
+        if isinstance(texture, Sky):
+            return
         rows = start, start + count
         if isinstance(texture, PhotometricWeb):
             h, v = texture.data.shape[:2]

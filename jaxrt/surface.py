@@ -193,7 +193,10 @@ def radiance_of(world: World, x: SurfacePoint, w: Vec3) -> Spectrum:
     if plan.textured_lights:
         emitted = textured(world, row[k + plan.channels], x.place, emitted)
     front = dot(x.shading if plan.smooth_lights else x.normal, w) > 0
-    return emitted.map(lambda c: jnp.where(front, c, 0.0))
+    emitted = emitted.map(lambda c: jnp.where(front, c, 0.0))
+    if world.sun is None:
+        return emitted
+    return emitted + world.sun.radiance(-w).map(lambda c: jnp.where(x.face < 0, c, 0.0))
 
 
 def textured(world: World, index: Any, place: Place | None, value: Spectrum) -> Spectrum:

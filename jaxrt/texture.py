@@ -1,4 +1,4 @@
-"""Textures looked up at a point: bitmaps, checkerboards, values of a mesh's vertices or faces, and products of two."""
+"""Textures looked up at a point: bitmaps, checkerboards, values of meshes, products of two, skies."""
 
 from __future__ import annotations
 
@@ -9,12 +9,17 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
+from . import sky
+from .parts.sky import Sky
 from .parts.textures import FILTERS, TEXTURES, WRAPS, Bitmap, Texture
 from .parts.web import PhotometricWeb
 from .vector import Spectrum, where
 
 if TYPE_CHECKING:
     from .scene import Scene
+
+SKY_SIZE = (512, 256)
+"""Cells of the grid by which a sky is sampled."""
 
 LAYOUT = ("kind", "offset", "width", "height", "filter", "wrap")
 """Columns of the table of whole numbers that a texture has. A checkerboard has the numbers of the textures in its
@@ -145,7 +150,16 @@ def _attribute(texels: Any, layout: Any, u: Any, v: Any, place: Place) -> Spectr
     return a * (1.0 - s - t) + b * s + c * t
 
 
-_LOOK_UP = {"bitmap": _bitmap, "checkerboard": _checkerboard, "attribute": _attribute}
+def sky_rows(texels: Any, first: Any) -> list[Spectrum]:
+    """What `sky.look_up` takes, of a sky whose texels begin at `first`."""
+    return [_texel(texels, first + k) for k in range(13)]
+
+
+def _sky(texels: Any, layout: Any, u: Any, v: Any, place: Place) -> Spectrum:
+    return sky.look_up(sky_rows(texels, layout[1]), u, v)
+
+
+_LOOK_UP = {"bitmap": _bitmap, "checkerboard": _checkerboard, "attribute": _attribute, "sky": _sky}
 
 
 def table_row(texture: Texture, offset: int, inner: Sequence[int]) -> list[int]:
@@ -154,6 +168,8 @@ def table_row(texture: Texture, offset: int, inner: Sequence[int]) -> list[int]:
     if isinstance(texture, PhotometricWeb):  # which no surface has; see emitter.goniometric
         return [-1, offset, len(texture.vertical), len(texture.horizontal), 0, 0]
     kind = TEXTURES.index(texture.kind)
+    if isinstance(texture, Sky):
+        return [kind, offset, *SKY_SIZE, 0, 0]
     if not isinstance(texture, Bitmap):
         return [kind, offset, 1, 1, *inner]
     height, width = texture.data.shape[:2]
@@ -167,4 +183,4 @@ def inner_numbers(layout: np.ndarray, numbers: np.ndarray) -> np.ndarray:
     return inner[inner > 0]
 
 
-__all__ = ["LAYOUT", "Place", "Textures", "inner_numbers", "table_row"]
+__all__ = ["LAYOUT", "Place", "Textures", "inner_numbers", "sky_rows", "table_row"]

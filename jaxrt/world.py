@@ -25,6 +25,7 @@ from .instances import Instances
 from .intersect import Faces, Search, affine, build_search
 from .parts import LAMPS
 from .scene import FACE, KINDS, Scene, Structure, in_working_precision
+from .sun import Sun
 from .texture import Textures
 
 FEW_LIGHTS = 16
@@ -60,6 +61,7 @@ class World(eqx.Module):
     grids: Grids | None
     textures: Textures | None
     environment: Environment | None
+    sun: Sun | None
     plan: Plan = eqx.field(static=True)
     inner: int = eqx.field(static=True)  # rows of `finishes`, the last ones, to which other rows refer
     blocks: tuple[int, ...] = eqx.field(static=True)
@@ -221,11 +223,12 @@ def _light_bounds(scene: Scene, geometry: Any, real: Any) -> Any:
 
 
 def _power(lamps: Any, intensity: Any, radius: Any) -> Any:
-    """Flux of each lamp without extent over π: what area times radiance is of a face."""
+    """Flux of each lamp that is no surface over π: what area times radiance is of a face."""
     kind, cutoff = lamps[:, 8], lamps[:, 6]
     cap = 2.0 * (1.0 - jnp.cos(cutoff))
     share = jnp.where(kind == LAMPS.index("spot"), cap, radius * radius)
     share = jnp.where((kind == LAMPS.index("point")) | (kind == LAMPS.index("goniometric")), 4.0, share)
+    share = jnp.where(kind == LAMPS.index("sun"), 2.0 * np.pi * cutoff * radius * radius, share)
     share = jnp.where(kind == LAMPS.index("projector"), 4.0 / np.pi * lamps[:, 6] * lamps[:, 7], share)
     return intensity * share
 
@@ -301,6 +304,8 @@ def prepare(scene: Scene, plan: Plan) -> World:
     if plan.environment:  # like a face, of number −1
         row = jnp.zeros((1, light_rows.shape[1])).at[0, 13].set(chance[-1]).at[0, 14 + plan.channels].set(-1.0)
         light_rows = joined(jnp.concatenate([light_rows, row.astype(side.dtype)]))
+    around = "sky" if "sky" in plan.textures else "bitmap"
+    sun = Sun.of(scene, plan.channels, of_lamp[:, 0]) if "sun" in plan.lamp_kinds else None
     table = MaterialColumns(scene.channels)
     held = [f for f in plan.fields if f in table.at]
     columns = [j for f in held for j in range(*table[f])]
@@ -336,7 +341,8 @@ def prepare(scene: Scene, plan: Plan) -> World:
         present=jax.lax.rng_uniform(0.0, 1.0, ()) >= 0,  # not of the scene, which a closure may make constant
         instances=instances,
         grids=grids,
-        environment=Environment.of(scene, plan.environment) if plan.environment else None,
+        environment=Environment.of(scene, plan.environment, around) if plan.environment else None,
+        sun=sun,
         textures=Textures.of(scene, plan.channels, plan.textures, plan.nested) if plan.textures or plan.web else None,
         plan=plan,
         inner=len(scene.materials) if plan.nodes else 0,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from ..near_lamps import solid_angle_pays
 from ..parts import LAMPS
+from ..parts.textures import TEXTURES
 from .effect import Chosen, Effect, Found, named
 from .facts import Facts
 
@@ -20,7 +21,8 @@ def _enclosure(facts: Facts, chosen: Chosen) -> Found:
 
 
 def _environment(facts: Facts, chosen: Chosen) -> Found:
-    on = bool(facts.radiance_map[1]) and chosen["enclosure"] and chosen["texture:bitmap"]
+    kind = TEXTURES[facts.layout[facts.radiance_map[1], 0]]
+    on = bool(facts.radiance_map[1]) and chosen["enclosure"] and chosen[f"texture:{kind}"]
     return Found(on, f"{facts.structure.emitters[1]} has a texture" if on else "that light has no texture")
 
 
@@ -79,7 +81,7 @@ def _selection(facts: Facts, chosen: Chosen) -> Found:
 
 EFFECTS = (
     Effect("enclosure", _enclosure, lambda facts, chosen: {"enclosure": True}),
-    Effect("environment", _environment, _size, ("enclosure", "texture:bitmap"), lambda facts, chosen: False),
+    Effect("environment", _environment, _size, ("enclosure", "texture:"), lambda facts, chosen: False),
     Effect(
         "area_light",
         _area_light,

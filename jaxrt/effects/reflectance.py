@@ -34,7 +34,8 @@ def _rgb(facts: Facts, chosen: Chosen) -> Found:
 def _texture(kind: str) -> Effect:
     def find(facts: Facts, chosen: Chosen) -> Found:
         fields, lit, names = facts.textured(kind)
-        return Found(bool(fields or lit), f"on {named(names)}" if names else "no parameter has one")
+        said = f"on {named(names)}" if names else "of the enclosure" if lit else "no parameter has one"
+        return Found(bool(fields or lit), said)
 
     def sets(facts: Facts, chosen: Chosen) -> dict:
         fields, lit, _ = facts.textured(kind)

@@ -128,7 +128,7 @@ def sample(world: World, x: Vec3, s: Stream | Drawn, pair: int, n: Vec3 | None =
     face = row[14 + plan.channels].astype(jnp.int32)
     light = _of_face(world, x, row, face, s.pair_at(pair), n) if plan.light_kinds else None
     if plan.lamp_kinds:
-        w, distance, radiance, pdf, known = delta.sample(world, x, row)
+        w, distance, radiance, pdf, known = delta.sample(world, x, row, s.pair_at(pair))
         one = jnp.ones_like(distance)
         lamp = LightSample(w, distance, radiance, pdf, known, face, one, one < 0)
         light = lamp if light is None else where(face < 0, lamp, light)
@@ -224,6 +224,8 @@ def density(world: World, x: Vec3, y: SurfacePoint, w: Vec3) -> Any:
     """Density (sr⁻¹) with which `sample` at x takes the direction ω in which y was met."""
     x, y, w = jax.lax.stop_gradient((x, y, w))
     around = y.light_density * world.environment.pdf(w) if world.environment is not None else 0.0
+    if world.sun is not None:
+        around = around + world.sun.density(w)
     if not world.plan.light_kinds:
         return jnp.where(y.face < 0, around, 0.0)
     cos = -dot(y.shading if world.plan.smooth_lights else y.normal, w)
@@ -246,7 +248,8 @@ def density(world: World, x: Vec3, y: SurfacePoint, w: Vec3) -> Any:
         area = safe_sqrt(dot(twice, twice)) * jnp.where(four, 1.0, 0.5)
         flat = (y.face < world.first("disk")) & (cone > 0)
         pdf = jnp.where(flat, y.light_density * area * cone, pdf)
-    return jnp.where(hit, pdf, around if world.environment is None else jnp.where(y.face < 0, around, 0.0))
+    nothing = world.environment is None and world.sun is None
+    return jnp.where(hit, pdf, around if nothing else jnp.where(y.face < 0, around, 0.0))
 
 
 __all__ = ["LightSample", "density", "may_meet", "sample"]

@@ -1,4 +1,4 @@
-"""Lamps without extent: points, spots, projectors, beams from afar. Only light samples find them."""
+"""Lamps that are no surfaces: points, spots, projectors, beams from afar, which only light samples find; the sun."""
 
 from __future__ import annotations
 
@@ -17,8 +17,9 @@ ALONE = 1e30
 """Stands for the density of a direction that nothing else can draw, in weights against reflection."""
 
 
-def sample(world: World, x: Vec3, row: Any) -> tuple[Vec3, Any, Spectrum, Any, Any]:
-    """Direction from x to the lamp of a row, distance (m), radiance over solid angle, its chance, and `ALONE`."""
+def sample(world: World, x: Vec3, row: Any, u: tuple[Any, Any]) -> tuple[Vec3, Any, Spectrum, Any, Any]:
+    """Direction from x to the lamp of a row, distance (m), radiance over solid angle, its chance, and `ALONE`. Of the
+    sun the direction is drawn by u, and both numbers are its density (sr⁻¹)."""
     plan = world.plan
     position, axis, kind = _vec(row, 0), normalise(_vec(row, 3)), row[8]
     to = position - x
@@ -48,7 +49,14 @@ def sample(world: World, x: Vec3, row: Any) -> tuple[Vec3, Any, Spectrum, Any, A
         radiance = where(here, light, radiance)
     radiance = radiance * seen
     chance = row[13]
-    return w, distance, radiance, chance, jnp.where(chance > 0, ALONE, 0.0)
+    known = jnp.where(chance > 0, ALONE, 0.0)
+    if world.sun is not None:
+        here = kind == LAMPS.index("sun")
+        w = where(here, world.sun.sample(u), w)
+        distance = jnp.where(here, 4.0 * world.radius + 1.0, distance)
+        radiance = where(here, world.sun.radiance(w), radiance)
+        chance, known = (jnp.where(here, world.sun.density(w), a) for a in (chance, known))
+    return w, distance, radiance, chance, known
 
 
 def _projected(world: World, row: Any, axis: Vec3, to: Vec3) -> tuple[Spectrum, Any]:

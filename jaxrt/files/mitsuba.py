@@ -12,7 +12,7 @@ from .. import parts
 from . import mitsuba_xml
 from .mitsuba_context import Context
 from .mitsuba_integrators import integrator
-from .mitsuba_lamps import ENCLOSURES, LAMPS, SKIES, enclosure, lamp
+from .mitsuba_lamps import ENCLOSURES, LAMPS, enclosure, lamp
 from .mitsuba_materials import UNSEEN, bsdf
 from .mitsuba_nodes import OBJECTS
 from .mitsuba_sensors import sensor
@@ -53,7 +53,7 @@ def _describe(document: Document) -> parts.Description:
     for element in objects["integrator"]:
         fields |= integrator(ctx, element)
     _check_unseen(ctx, objects, fields.get("hide_emitters", False))
-    around = _enclosure(ctx, [e for e in objects["emitter"] if e.plugin not in LAMPS])
+    around, suns = _enclosure(ctx, [e for e in objects["emitter"] if e.plugin not in LAMPS])
     found = [e for e in objects["emitter"] if e.plugin in LAMPS]
     lamps = [lamp(ctx, element, f"{element.plugin}_{k}" if k else element.plugin) for k, element in enumerate(found)]
     _note_unused(ctx, objects)
@@ -62,7 +62,7 @@ def _describe(document: Document) -> parts.Description:
         shapes=shapes,
         sensors=[made for made, _ in sensors],
         enclosure=around,
-        lamps=lamps,
+        lamps=[*lamps, *suns],
         integrator=parts.Integrator(**fields),
         notes=ctx.notes,
     )
@@ -92,19 +92,17 @@ def _check_unseen(ctx: Context, objects: dict[str, list[Element]], hidden: bool)
             )
 
 
-def _enclosure(ctx: Context, elements: list[Element]) -> parts.Enclosure | None:
-    found = None
+def _enclosure(ctx: Context, elements: list[Element]) -> tuple[parts.Enclosure | None, list[parts.Sun]]:
+    found, suns = None, []
     for element in elements:
         if element.plugin in ("area", UNSEEN):
             continue  # it belongs to the shape that references it
-        if element.plugin in SKIES:
-            element.fail("is not supported, for it needs Mitsuba's tables; scenes/bake_sky.py makes an envmap of it")
         if element.plugin not in ENCLOSURES:
             element.fail(f"is not supported; use {', '.join((*LAMPS, *ENCLOSURES))}, or area in a shape")
         if found is not None:
             element.fail("is a second environment; keep one")
-        found = enclosure(ctx, element)
-    return found
+        found, suns = enclosure(ctx, element)
+    return found, suns
 
 
 def _note_unused(ctx: Context, objects: dict[str, list[Element]]) -> None:

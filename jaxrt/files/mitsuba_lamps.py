@@ -12,6 +12,7 @@ from ..sensor.camera import half_width
 from .mitsuba_context import Context
 from .mitsuba_materials import SAMPLING, color
 from .mitsuba_sensors import field_of_view
+from .mitsuba_sky import sunsky
 from .mitsuba_xml import Element
 from .textures import read_picture
 
@@ -75,11 +76,13 @@ LAMPS: dict[str, tuple[Any, Any]] = {
 }
 
 
-ENCLOSURES = ("constant", "envmap")
-SKIES = ("sunsky", "timed_sunsky")  # whose tables come with Mitsuba
+ENCLOSURES = ("constant", "envmap", "sunsky")
 
 
-def enclosure(ctx: Context, element: Element) -> parts.Enclosure:
+def enclosure(ctx: Context, element: Element) -> tuple[parts.Enclosure, list[parts.Sun]]:
+    """Light from all around, and the sun in it."""
+    if element.plugin == "sunsky":
+        return sunsky(ctx, element)
     to_world = ctx.transform(element)
     if element.plugin == "constant":  # Mitsuba takes its transform, which moves nothing
         radiance: Any = color(ctx, element, "radiance", 1.0, "radiance")
@@ -93,4 +96,4 @@ def enclosure(ctx: Context, element: Element) -> parts.Enclosure:
         radiance = ctx.part(element, parts.Bitmap, data=np.maximum(data, 0.0) * scale)
     ctx.finish(element, {**SAMPLING, "mis_compensation": SAMPLING["sampling_weight"]})
     name = ctx.name(element, "enclosure")
-    return ctx.part(element, parts.Enclosure, radiance=radiance, to_world=to_world, id=name)
+    return ctx.part(element, parts.Enclosure, radiance=radiance, to_world=to_world, id=name), []

@@ -30,6 +30,7 @@ from ..parts import (
     Sphere,
     Texture,
     TwoSided,
+    brightness,
 )
 from .transforms import look_at
 
@@ -72,7 +73,7 @@ def complete(description: Description, *, light: bool = True, orient: bool = Fal
         sensors = [default_view(points)]
         notes.append(f"no camera: added a view from the front right, {FOV:g} degrees, +y up")
     lit = any(isinstance(s, Shape) and s.emission is not None and _shines(s.emission) for s in shapes)
-    lit |= any(_shines(vars(lamp).get("intensity", vars(lamp).get("irradiance"))) for lamp in description.lamps)
+    lit |= any(_shines(getattr(lamp, brightness(lamp))) for lamp in description.lamps)
     if not (lit or (enclosure is not None and _shines(enclosure.radiance))):
         if light:
             enclosure = Enclosure(RADIANCE, id=enclosure.id if enclosure else "")

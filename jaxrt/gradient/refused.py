@@ -20,6 +20,8 @@ def check(plan: Any, view: str, deep: bool, lamps: bool, places: bool) -> None:
     why = None
     if plan.instances or places:
         why = "outlines of instances; write their shapes out"
+    elif "sun" in plan.lamp_kinds or "sky" in plan.textures:
+        why = "the horizon of a sky, and borders of the sun and of its shadows; take a picture of radiance instead"
     elif deep and (plan.lamp_kinds or lamps):
         kinds = ", ".join(plan.lamp_kinds) or "lamps without extent"
         why = f"the sharp borders of shadows of lamps without extent ({kinds}); give them an area"

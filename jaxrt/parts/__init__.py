@@ -12,11 +12,12 @@ from collections.abc import Sequence
 
 from .checks import LARGEST, SceneError, check, matrix, scalar, spectrum, unit, varying
 from .composites import Blend, BumpMap, Mask, NormalMap
-from .lamps import LAMPS, Directional, Enclosure, Goniometric, Lamp, Point, Projector, Spot
+from .lamps import LAMPS, Directional, Enclosure, Goniometric, Lamp, Point, Projector, Spot, Sun, brightness
 from .principled import Principled, PrincipledThin
 from .reflectances import Bsdf, Conductor, Dielectric, Diffuse, Null, Plastic, Row, TwoSided
 from .sensors import Film, Sensor
 from .shapes import Cube, Cylinder, Disk, Group, Instance, Mesh, Rectangle, SdfGrid, Shape, Sphere
+from .sky import Sky
 from .textures import LUMINANCE, Bitmap, Checkerboard, MeshAttribute, Product, Texture
 from .web import PhotometricWeb
 
@@ -92,10 +93,13 @@ __all__ = [
     "SdfGrid",
     "Sensor",
     "Shape",
+    "Sky",
     "Sphere",
     "Spot",
+    "Sun",
     "Texture",
     "TwoSided",
+    "brightness",
     "check",
     "matrix",
     "scalar",

@@ -1,4 +1,4 @@
-"""Lamps without extent, and the enclosure. Emission of surfaces belongs to their shapes."""
+"""Lamps without extent, the sun, and the enclosure. Emission of surfaces belongs to their shapes."""
 
 from __future__ import annotations
 
@@ -8,11 +8,17 @@ from typing import Any
 import numpy as np
 
 from .checks import LARGEST, SceneError, check, matrix, scalar, spectrum, unit, varying
+from .sky import Sky
 from .textures import Bitmap, Texture
 from .web import PhotometricWeb
 
-LAMPS = ("point", "spot", "directional", "projector", "goniometric")
-"""Kinds of lamps without extent, in the order of their numbers in tables."""
+LAMPS = ("point", "spot", "directional", "projector", "goniometric", "sun")
+"""Kinds of lamps that are no surfaces, in the order of their numbers in tables."""
+
+
+def brightness(lamp: Any) -> str:
+    """The field that says how bright a lamp is."""
+    return next(key for key in ("intensity", "irradiance", "radiance") if hasattr(lamp, key))
 
 
 @dataclasses.dataclass
@@ -123,7 +129,36 @@ class Goniometric:
         return np.array([*m[:3, 3], *axis, 0, 0, number, *up], float)
 
 
-Lamp = Point | Spot | Directional | Projector | Goniometric
+@dataclasses.dataclass
+class Sun:
+    """A disc infinitely far away whose light travels along `direction`, of `radiance` (W·m⁻²·sr⁻¹) all over; `angle`:
+    its diameter, degrees. Of the disc only what lies on the side of `horizon`, a direction upwards, is there.
+
+    Rays that leave the scene towards it meet it, other than lamps without extent. A scene has one at most.
+    """
+
+    direction: Any = (0.0, 0.0, -1.0)
+    radiance: Any = 1.0
+    angle: float = 0.5358
+    horizon: Any = None
+    id: str = ""
+
+    def __post_init__(self):
+        name = self.id or "sun"
+        self.direction = unit(self.direction, f"{name}.direction")
+        self.radiance = spectrum(self.radiance, f"{name}.radiance")
+        self.angle = scalar(self.angle, f"{name}.angle")
+        check(0 < self.angle < 180, f"{name}.angle", f"is {self.angle:g}; give an angle between 0 and 180 degrees")
+        if self.horizon is not None:
+            self.horizon = unit(self.horizon, f"{name}.horizon")
+
+    def row(self) -> np.ndarray:
+        up = np.zeros(3) if self.horizon is None else self.horizon
+        height = 2 * np.sin(np.radians(self.angle / 4)) ** 2
+        return np.array([0, 0, 0, *self.direction, height, 0, LAMPS.index("sun"), *up], float)
+
+
+Lamp = Point | Spot | Directional | Projector | Goniometric | Sun
 
 
 @dataclasses.dataclass
@@ -131,7 +166,7 @@ class Enclosure:
     """The surface around the scene on which every ray lands: it emits `radiance` and reflects nothing.
 
     A `Bitmap` is a map of all directions: its columns go around +y of its own space, from −z over +x, its rows from +y
-    down to −y. Its `to_uv` and wrapping have no use here. `to_world` turns it.
+    down to −y. Its `to_uv` and wrapping have no use here. A `Sky` has its zenith at +y. `to_world` turns either.
     """
 
     radiance: Any = 0.0
@@ -140,8 +175,10 @@ class Enclosure:
 
     def __post_init__(self):
         name = self.id or "enclosure"
-        self.radiance = varying(self.radiance, f"{name}.radiance")
         self.to_world = matrix(self.to_world, f"{name}.to_world")
+        if isinstance(self.radiance, Sky):
+            return
+        self.radiance = varying(self.radiance, f"{name}.radiance")
         if isinstance(self.radiance, Texture):
             if not isinstance(self.radiance, Bitmap):
                 raise SceneError(f"{name}.radiance: is no Bitmap; give one, or a colour")

@@ -9,7 +9,7 @@ import numpy as np
 
 from .checks import LARGEST, SceneError, check, spectrum, varying
 
-TEXTURES = ("bitmap", "checkerboard", "attribute", "product")
+TEXTURES = ("bitmap", "checkerboard", "attribute", "product", "sky")
 """Kinds of textures, in the order of their numbers in tables; number 0 stands for none."""
 
 LUMINANCE = np.array([0.212671, 0.71516, 0.072169])

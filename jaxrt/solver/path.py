@@ -194,7 +194,7 @@ def _reflect(world: World, depths: Depths, state: PathState, landing: Landing, n
     alive = alive & (most > 0) & (s.pair_at(2)[1] < survive)
     beta = beta * (1.0 / jnp.where(survive > 0, survive, 1.0))
     o = leave(world, x, node.w)
-    if state.before is None and not world.plan.enclosure:  # the last ray can only meet a lamp
+    if state.before is None and not world.plan.enclosure and world.sun is None:  # the last ray can only meet a lamp
         alive = alive & ((depth + 1 != depths.max_depth) | emitter.may_meet(world, o, node.w))
     follow = PathState(o, node.w, beta, radiance, node.pdf, node.delta, depth, alive)
     if state.clear is not None:

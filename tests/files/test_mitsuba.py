@@ -396,8 +396,7 @@ def test_bytes_that_are_no_text(tmp_path):
             '<shape type="sphere"><emitter type="area"><transform name="to_world"/></emitter></shape>',
             "moves with its shape",
         ),
-        ('<emitter type="sunsky"/>', '<emitter type="sunsky">: is not supported'),
-        ('<emitter type="timed_sunsky"/>', "bake_sky.py makes an envmap of it"),
+        ('<emitter type="timed_sunsky"/>', '<emitter type="timed_sunsky">: is not supported; use point'),
         ('<emitter type="sun"/>', "is not supported; use point"),
         (
             '<shape type="sphere"><emitter type="directionalarea"><transform name="to_world"/></emitter></shape>',

@@ -16,6 +16,7 @@ import numpy as np
 from helpers import ball_of_distances, camera, frame, icosphere, look_at, moved
 
 import jaxrt
+from jaxrt.files import sky
 from jaxrt.solver import field as field_of
 from jaxrt.solver import measure
 
@@ -78,6 +79,11 @@ def bulb():
     return room(lamps=[jaxrt.Point((0, 0, 2), id="bulb")])
 
 
+def open_air():
+    light = jaxrt.parts.Sky(sky.coefficients(3.0, np.full(3, 0.3), 0.5), (0, 1, 1))
+    return room(lamps=[jaxrt.Sun((0, 0, -1), id="sun")], enclosure=jaxrt.Enclosure(light))
+
+
 ROWS = [  # what, a scene, parameters of it (one of each table), and how it is measured
     ("reflectance, roughness, index of refraction", plain, ["metal.alpha"], {}),
     ("texels, and where they lie", plain, ["wood.reflectance.data", "wood.reflectance.to_uv"], {}),
@@ -85,11 +91,13 @@ ROWS = [  # what, a scene, parameters of it (one of each table), and how it is m
     ("the turn of an enclosure; vertex normals", plain, ["sky.to_world", "block.normals"], {}),
     ("values that a plan takes for granted", room, ["enclosure.radiance"], {"free": "paint.*"}),
     ("intensity of lamps without extent", bulb, ["bulb.intensity"], {}),
+    ("radiance of the sun", open_air, ["sun.radiance"], {}),
     ("vertices, `to_world` of shapes", plain, ["block.vertices", "floor.to_world"], {}),
     ("centres and radii", plain, ["ball.center", "ball.radius"], {}),
     ("pose, field of view and lens of a camera", plain, ["eye.to_world", "eye.fov", "lens.to_world", "lens.focus_distance"], {}),
     ("the same of the second order", room, [*MOVES, "eye.to_world"], {"twice": True}),
     ("whatever moves, with lamps without extent", bulb, [*MOVES, "eye.to_world", "bulb.position"], {}),
+    ("with a sun or a sky", open_air, [*MOVES, "eye.to_world"], {}),
     ("with instances", instance, [*MOVES, "copy.to_world"], {}),
     ("with grids of distances", lambda: room(GRID), [*MOVES, "grid.grid"], {}),
     ("with glass or curved mirrors", on(jaxrt.Dielectric()), [*MOVES, "ball.center"], {}),
