@@ -32,9 +32,9 @@ SEED, DEPTH = 0, 2
 NAME = "ball.vertices"
 
 
-def blob() -> tuple[np.ndarray, np.ndarray]:
+def blob(level: int) -> tuple[np.ndarray, np.ndarray]:
     """A ball of radius .7 with bumps of up to 30 %, along the diagonals of a cube that make a tetrahedron."""
-    vertices, faces = stages.icosphere(3)
+    vertices, faces = stages.icosphere(level)
     bumps = 0.3 * 3**1.5 * vertices.prod(1)
     return 0.7 * vertices * (1 + bumps[:, None]), faces
 
@@ -58,17 +58,20 @@ def room(vertices: np.ndarray, faces: np.ndarray, side: int, views: int) -> jaxr
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("--quick", action="store_true", help="smaller pictures, fewer views and steps: under a minute")
+    parser.add_argument(
+        "--quick", action="store_true", help="smaller pictures, fewer triangles, views and steps: under a minute"
+    )
     args = parser.parse_args()
-    side, views, steps, spp, reference = (24, 4, 35, 8, 512) if args.quick else (32, 6, 60, 8, 1024)
-    surface = trimesh.Trimesh(*blob(), process=False)
-    scene = room(*blob(), side, views)
+    level, side, views, steps, spp, reference = (2, 24, 4, 35, 8, 512) if args.quick else (3, 32, 6, 60, 8, 1024)
+    shape = blob(level + 1)
+    surface = trimesh.Trimesh(*shape, process=False)
+    scene = room(*shape, side, views)
     sensors = list(range(views))
     shoot = lambda s, k, n=reference: (
         jaxrt.render(s, spp=n, seed=SEED + 1, sensor=k, method="path", max_depth=DEPTH).image
     )
     targets = [shoot(scene, k) for k in sensors]
-    vertices, faces = stages.icosphere(2)
+    vertices, faces = stages.icosphere(level)
     start = room(0.7 * vertices, faces, side, views)
     keep, places = fits.chosen_steps(steps), {"start": 0.7 * vertices}
 
@@ -76,9 +79,10 @@ def main() -> None:
         if step - 1 in keep:
             places[f"step {step}"] = np.asarray(values[NAME])
 
+    smooth = jaxrt.Smooth(4.0 ** (level - 2))  # as far over the ball on a finer mesh
     optimiser = jaxrt.uniform_adam(optax.cosine_decay_schedule(0.05, steps))
     fit = jaxrt.fit(
-        start, targets, {NAME: jaxrt.Smooth(1.0)}, sensor=sensors, optimiser=optimiser, spp=spp, steps=steps, seed=SEED,
+        start, targets, {NAME: smooth}, sensor=sensors, optimiser=optimiser, spp=spp, steps=steps, seed=SEED,
         max_depth=DEPTH, progress=kept,
     )  # fmt: skip
     far = lambda place: trimesh.proximity.closest_point_naive(surface, np.asarray(place, float))[1]
