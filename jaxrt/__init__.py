@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from .effects import Plan, plan
     from .effects.costs import effect_costs
     from .files.ies import load_ies
-    from .fitting import Fit, Shift, Smooth, fit
+    from .fitting import Fit, Shift, Smooth, fit, uniform_adam
     from .gradient.replicate import replicate
     from .loading import load
     from .operators import (
@@ -85,7 +85,7 @@ _HOMES = {
     "effects": "Plan plan",
     "effects.costs": "effect_costs",
     "files.ies": "load_ies",
-    "fitting": "Fit Shift Smooth fit",
+    "fitting": "Fit Shift Smooth fit uniform_adam",
     "gradient.replicate": "replicate",
     "loading": "load",
     "operators": "D G K T add adjoint compose emission estimate inner neumann norm psi sub",
@@ -202,5 +202,6 @@ __all__ = [
     "resized",
     "solve",
     "sub",
+    "uniform_adam",
     "with_params",
 ]

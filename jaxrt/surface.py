@@ -282,8 +282,9 @@ def is_diffuse(world: World, at: Shading) -> Any:
     return at.even & (jnp.round(lobe) == LOBES["diffuse"].number)
 
 
-def leave(world: World, x: SurfacePoint, w: Vec3) -> Vec3:
-    """Origin of a ray that leaves x along ω: moved off the surface by more than rounding can reach.
+def leave(world: World, x: Any, w: Vec3) -> Vec3:
+    """Origin of a ray that leaves x (with position and normal) along ω: moved off the surface by more than rounding
+    can reach.
 
     Faces coplanar with x's own are then behind the ray by `epsilon`, and a search that accepts
     distances above −epsilon/2 still sees a wall that rounding put the origin just behind.

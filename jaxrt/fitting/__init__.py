@@ -3,5 +3,6 @@
 from .fit import fit
 from .result import Fit
 from .transforms import Shift, Smooth
+from .uniform import uniform_adam
 
-__all__ = ["Fit", "Shift", "Smooth", "fit"]
+__all__ = ["Fit", "Shift", "Smooth", "fit", "uniform_adam"]

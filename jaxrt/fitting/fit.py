@@ -61,8 +61,8 @@ def fit(
     `loss`: "l2", "relative" ((I − T)/√(T² + ε)), "log", "multiscale" (l2 of the picture and of halves down to one
     pixel), each a mean of squares, or a function (image, target) -> a loss, or residuals. `optimiser`: of optax, by
     default Adam whose steps fall from .1 to 0 by a cosine, or least squares of optimistix, as
-    `GaussNewton(1e-3, 1e-5)`. `steps`: 200, or 20 of least squares at most. `coarse`: (factor, steps) that go
-    before these with pictures so many times smaller, as [(4, 50), (2, 50)].
+    `GaussNewton(1e-3, 1e-5)`; for vertices `uniform_adam`. `steps`: 200, or 20 of least squares at most. `coarse`:
+    (factor, steps) that go before these with pictures so many times smaller, as [(4, 50), (2, 50)].
 
     `spp`: samples a pixel and step; anew each step, or `frozen`, as least squares always has them. `unbiased`: these
     in two halves, so that noise does not move the minimum; by default where the loss is l2, relative or multiscale and

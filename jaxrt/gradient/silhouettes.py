@@ -18,12 +18,11 @@ from jax.lax import stop_gradient as sg
 from ..sampling.sobol import Stream, combine
 from ..sensor import camera, film
 from ..solver import path
-from ..surface import surface_point
-from ..vector import Spectrum, Vec3, where
+from ..vector import Vec3, where
 from ..world import World
 from . import edges as edge
 from .edges import Edges
-from .visibility import Mirror, choose, follow, owned, zero_valued
+from .visibility import Mirror, along, choose, follow, owned, zero_valued
 
 ASIDE = 0.01
 """How far beside an edge to look, in pixels."""
@@ -101,18 +100,18 @@ def _beside(
     lens: Any,
     s: Stream,
     mirror: Any,
+    further: bool,
 ) -> Any:
     """L₋ − L₊ beside the place q of an edge on the film, where that edge (or its image in a mirror) is what parts them.
 
-    `mirror`: nothing, or a mirror and whether it is meant.
+    `mirror`: nothing, or a mirror and whether it is meant. `further`: as of `follow`.
     """
 
     def one(side: Any) -> Any:
         at = q[0] + ASIDE * side * n[0], q[1] + ASIDE * side * n[1]
         o, d = camera.ray(view.sensor, view.to_world, view.lens, view.window, at, lens)
-        y = surface_point(world, world.settle(world.search.closest(o, d)), o, d)
-        light = follow(world, depths, o, d, s, jnp.int32(0), Spectrum.full(world.plan.channels, 0.0 * o.x))
-        return y if mirror is None else where(mirror[1], mirror[0].behind(world, o, d, y), y), light
+        y, light = follow(world, depths, o, d, s, jnp.int32(0), further, True)
+        return y if mirror is None else where(mirror[1], mirror[0].behind(world, d, y), y), light
 
     y, light = jax.vmap(one)(jnp.array([-1.0, 1.0], world.faces.dtype))
     minus, plus = (jax.tree.map(lambda a, k=k: a[k], y) for k in (0, 1))
@@ -122,19 +121,21 @@ def _beside(
     return light.map(lambda c: (c[0] - c[1]) * share)
 
 
-def picture(world: World, edges: Edges, view: Any, depths: path.Depths, seed: Any, n: int, samples: int) -> Any:
-    """The term for all pixels, (n, C): 0, with derivatives. `samples`: points on edges, of straight
-    ones, of outlines of curved faces, and of both in mirrors, as far as there are such."""
+def picture(
+    world: World, edges: Edges, view: Any, motion: Any, steps: int, depths: path.Depths, seed: Any, n: int, samples: int
+) -> Any:
+    """The term for all pixels, (n, C): its derivative by `motion`, tangents of world and view. `samples`: points on
+    edges, of straight ones, of outlines of curved faces, and of both in mirrors, as far as there are such."""
     fixed, plan, still = sg(world), world.plan, sg(view)
     filter_, central = still.sensor.film, still.sensor.kind != "orthographic"
     straight, curved = len(edges.ends) > 0, central and edges.curved
     mirrors = central and edges.mirrors is not None
     n_ways = straight + curved + mirrors
     on_film, still_eye = OnFilm.of(still, edges) if straight else None, Vec3(*(still.to_world[k, 3] for k in range(3)))
-    to_local, middle = jnp.linalg.inv(view.to_world), still.lens * jnp.array([1.0, 0.0, 1.0, 1.0, 1.0])
+    middle = still.lens * jnp.array([1.0, 0.0, 1.0, 1.0, 1.0])
     seed, reach = combine(seed, 0xED6E), int(np.ceil(filter_[3] + 0.5))
 
-    def one(i: Any) -> tuple[Any, Any]:
+    def one(world: World, view: Any, to_local: Any, i: Any) -> tuple[Any, Any]:
         s = Stream(i.astype(jnp.uint32), seed)
         lens = s.pair_at(1) if camera.uses_lens(still.sensor) else None
         ways = s.child(2).pair_at(0)[0] * n_ways
@@ -165,7 +166,7 @@ def picture(world: World, edges: Edges, view: Any, depths: path.Depths, seed: An
         ((q, z), (dq, _)) = jax.jvp(lambda t: at(still, fixed, sg(to_local), t), (t,), (jnp.ones_like(t),))
         speed = jnp.sqrt(dq[0] * dq[0] + dq[1] * dq[1])
         normal = -dq[1] / jnp.maximum(speed, 1e-30), dq[0] / jnp.maximum(speed, 1e-30)
-        jump = _beside(fixed, edges, still, depths, j, q, normal, lens, s, mirror)
+        jump = _beside(fixed, edges, still, depths, j, q, normal, lens, s, mirror, steps > 1)
         scale = jnp.where((weight > 0) & (z > 0), weight * speed, 0.0)
         moved, _ = at(view, world, to_local, sg(t))
         value = zero_valued(jump * scale, normal[0] * moved[0] + normal[1] * moved[1]).array()
@@ -186,9 +187,13 @@ def picture(world: World, edges: Edges, view: Any, depths: path.Depths, seed: An
     zero = jnp.zeros((n, plan.channels), fixed.faces.dtype)
 
     @functools.partial(jax.checkpoint, prevent_cse=False)
-    def batch(first: Any) -> Any:
-        places, parts = jax.vmap(one)(first + jnp.arange(lanes, dtype=jnp.int32))
-        return zero.at[places].add(parts, mode="drop")
+    def batch(motion: Any, first: Any) -> Any:
+        def terms(world: World, view: Any) -> Any:
+            to_local, numbers = jnp.linalg.inv(view.to_world), first + jnp.arange(lanes, dtype=jnp.int32)
+            places, parts = jax.vmap(lambda i: one(world, view, to_local, i))(numbers)
+            return zero.at[places].add(parts, mode="drop")
 
-    add = lambda total, k: (total + batch(k * lanes), None)
+        return along(terms, (world, view), motion)[1]
+
+    add = lambda total, k: (total + batch(motion, k * lanes), None)
     return jax.lax.scan(add, zero, jnp.arange(batches, dtype=jnp.int32))[0] / (batches * lanes)

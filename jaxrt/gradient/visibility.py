@@ -10,7 +10,8 @@ and for direct light, whose samples z stay on the emitter, w = (ẏ − ẋ) −
 edge in place of the difference (see `material`). On the film: dI = ∫ h(q) (L₋ − L₊) (q̇·N̂) dl, q the edge's image.
 
 Each is written as Σ coefficient · position minus its own value: zero, with the right first derivative. Coefficients are
-held fixed, so that only positions of edges, of x and of z are differentiated.
+held fixed, so that only positions of edges, of x and of z are differentiated. That is done sample by sample: the value
+is no part of any program, and reverse mode only has to transpose a sum.
 """
 
 from __future__ import annotations
@@ -212,11 +213,49 @@ def owned(world: World, edges: Edges, j: Any, r: Any, reach: Any, minus: Any, pl
     return jnp.where((own[0] | own[1]) & parted, share, 0.0)
 
 
-def follow(world: World, depths: path.Depths, o: Vec3, d: Vec3, s: Stream, depth: Any, unwanted: Spectrum) -> Spectrum:
-    """An estimate of what arrives along a ray that is edge number `depth` of a path, but for `unwanted` emission."""
-    first = replace(path.start(world, o, d), depth=depth, radiance=unwanted * -1.0)
-    step = lambda p: path.bounce(world, depths, p, path.bounce_stream(s, p.depth))
-    return jax.lax.while_loop(lambda p: jnp.any(p.alive), step, first).radiance
+class Met(eqx.Module):
+    """Where a ray beside an edge lands: as much of a `SurfacePoint` as tells which face parts two of them."""
+
+    face: Any
+    distance: Any
+    uv: Any
+    position: Vec3
+    normal: Vec3
+
+    @classmethod
+    def of(cls, x: SurfacePoint) -> Met:
+        return cls(x.face, x.distance, x.uv, x.position, x.normal)
+
+
+def follow(
+    world: World, depths: path.Depths, o: Vec3, d: Vec3, s: Stream, depth: Any, further: bool, sampled: bool
+) -> tuple[Met, Spectrum]:
+    """Where a ray lands that is edge number `depth` of a path, and an estimate of what arrives along it.
+
+    `further`: whether any such path goes on from there. Without `sampled`, emission that is sampled as light is left
+    out where the ray lands.
+    """
+    none = Spectrum.full(world.plan.channels, 0.0 * o.x)
+
+    def left_out(x: SurfacePoint) -> Spectrum:
+        lamp = (x.light_density > 0) & (x.face >= 0)
+        return none if sampled else radiance_of(world, x, -d).map(lambda c: jnp.where(lamp, c, 0.0))
+
+    if not further:
+        x = surface_point(world, world.settle(world.search.closest(o, d)), o, d)
+        return Met.of(x), radiance_of(world, x, -d) - left_out(x)
+
+    def step(carry: tuple[path.PathState, Met]) -> tuple[path.PathState, Met]:
+        p, met = carry
+        landing, first = path.land(world, depths, p, path.bounce_stream(s, p.depth)), p.depth == depth
+        radiance = landing.radiance - left_out(landing.x).map(lambda c: jnp.where(first, c, 0.0))
+        landing = replace(landing, radiance=radiance)
+        return path.reflect(world, depths, p, landing), where(first, Met.of(landing.x), met)
+
+    begun, zero = replace(path.start(world, o, d), depth=depth), 0.0 * o.x
+    met = Met(jnp.full_like(begun.depth, -1), zero, (zero, zero), o * 0.0, o * 0.0)
+    end, met = jax.lax.while_loop(lambda c: jnp.any(c[0].alive), step, (begun, met))
+    return met, end.radiance
 
 
 class Seen(eqx.Module):
@@ -262,13 +301,19 @@ class Mirror(eqx.Module):
         weight = jnp.where(ok, 1.0 / jnp.where(ok, chance[face], 1.0), 0.0)
         return cls(face, edge.Plane.of(world, face), edge.Cone(normalise(to), sine), weight)
 
-    def behind(self, world: World, o: Vec3, w: Vec3, at: SurfacePoint) -> SurfacePoint:
-        """What a ray that lands at a point sees in the mirror; of face −2 where the point is not on it."""
+    def behind(self, world: World, w: Vec3, at: Met) -> Met:
+        """What a ray along w that lands at a point sees in the mirror; of face −2 where the point is not on it."""
         turned = w - self.plane.n * (2.0 * dot(self.plane.n, w))
         origin = leave(world, at, turned)
         y = surface_point(world, world.settle(world.search.closest(origin, turned)), origin, turned)
         there = at.face == self.face
-        return replace(y, distance=y.distance + at.distance, face=jnp.where(there, y.face, -2))
+        return replace(Met.of(y), distance=y.distance + at.distance, face=jnp.where(there, y.face, -2))
+
+
+def along(f: Any, at: Any, motion: Any) -> tuple[Any, Any]:
+    """f(*at), an array, and its derivative by `motion`, tangents of `at` of which some may be None."""
+    value, slope = eqx.filter_jvp(f, at, motion)
+    return value, jnp.zeros_like(value) if slope is None else slope
 
 
 def zero_valued(coefficient: Spectrum, position: Any) -> Spectrum:
@@ -308,12 +353,12 @@ def shadows(world: World, edges: Edges, seen: Seen, value: Any, s: Stream) -> Sp
 
 
 def outlines(
-    world: World, edges: Edges, depths: path.Depths, seen: Seen, value: Any, s: Stream, depth: Any
+    world: World, edges: Edges, depths: path.Depths, seen: Seen, value: Any, s: Stream, depth: Any, further: bool
 ) -> Spectrum:
     """The boundary term of reflected light, and of the enclosure's, at a point that a path reached with `depth` edges.
 
     The emission of lamps that are sampled there has another form, see `shadows`. Edges are seen from there, and where a
-    scene has mirrors their images in one of those as well.
+    scene has mirrors their images in one of those as well. `further`: as of `follow`.
     """
     fixed, plan = sg(world), world.plan
     x, n = sg(seen.position), None if brdf.is_translucent(plan.lobes) else seen.normal
@@ -331,41 +376,41 @@ def outlines(
 
     def ray(w: Vec3, pole: Vec3, angle: Any) -> Any:
         w = normalise(w + pole * angle)
-        o = seen.origin(w)
-        y = surface_point(fixed, world.settle(fixed.search.closest(o, w)), o, w)
-        met, sampled = radiance_of(fixed, y, -w), (y.light_density > 0) & (y.face >= 0) & bool(plan.light_kinds)
-        unwanted = met.map(lambda c: jnp.where(sampled, c, 0.0))
-        return o, w, y, follow(fixed, depths, o, w, s, depth + 1, unwanted)
+        return w, *follow(fixed, depths, seen.origin(w), w, s, depth + 1, further, not plan.light_kinds)
 
     sides = [(c.w, c.pole, side * aside(fixed, c.r)) for c, _ in kinds for side in (-1.0, 1.0)]
-    o, w, y, light = jax.vmap(ray)(*jax.tree.map(lambda *a: jnp.stack(a), *sides))
+    looked = jax.vmap(ray)(*jax.tree.map(lambda *a: jnp.stack(a), *sides))
     total = Spectrum.full(plan.channels, 0.0 * x.x)
     for k, (chosen, mirror) in enumerate(kinds):
-        rays = [jax.tree.map(lambda a, i=2 * k + i: a[i], (o, w, y, light)) for i in (0, 1)]
-        met = [r[2] for r in rays] if mirror is None else [mirror.behind(fixed, *r[:3]) for r in rays]
+        rays = [jax.tree.map(lambda a, i=2 * k + i: a[i], looked) for i in (0, 1)]
+        met = [y if mirror is None else mirror.behind(fixed, w, y) for w, y, _ in rays]
         share = owned(fixed, edges, chosen.edge, chosen.r, 8.0 * aside(fixed, chosen.r) * chosen.r, *met)
         scale = chosen.weight * share * (1.0 if mirror is None else mirror.weight) / chosen.r
-        coefficient = seen.beta * value(chosen.w) * (rays[0][3] - rays[1][3]) * scale
+        coefficient = seen.beta * value(chosen.w) * (rays[0][2] - rays[1][2]) * scale
         y_attached = chosen.attached(world, edges, None if mirror is None else mirror.face)
         total = total + zero_valued(coefficient, dot(chosen.pole, y_attached - seen.position))
     return total
 
 
 def surfaces(
-    world: World, edges: Edges, begin: Any, steps: int, depths: path.Depths, seed: Any, numbers: Any, spp: int
-) -> Any:
-    """The boundary terms of all reflection integrals on the way to lanes `numbers`, means over spp paths, (N, C): 0.
+    world: World, edges: Edges, begin: Any, motion: Any, steps: int, depths: path.Depths, seed: Any, numbers: Any,
+    spp: int,
+) -> Any:  # fmt: skip
+    """The boundary terms of all reflection integrals on the way to lanes `numbers`, means over spp paths, (N, C): their
+    derivative by `motion`, tangents of world and begin.
 
     Each path takes the term of direct light at every landing, and that of reflected light at one of them: with
     chance 1/2 at the first, 1/4 at the second. What a meter takes in counts as a landing before those.
     """
     fixed, plan = sg(world), world.plan
     seed, last = combine(seed, 0xB0DE), max(steps - 2, 0)
+    further = steps > (1 if begin.searches else 2)
+    reflecting = further or plan.enclosure  # else what is seen beside edges is lamps, which shadows are of
 
     def landed(x: SurfacePoint, at: Any, beta: Spectrum) -> Seen:
         return Seen(x.position, sg(at.frame.n * at.side), sg(x.normal) * fixed.epsilon, sg(beta))
 
-    def one(number: Any, sample: Any) -> Any:
+    def one(world: World, begin: Any, number: Any, sample: Any) -> Any:
         s = path.sample_stream(seed, number, sample)
         begun, meter = begin(world, number, s), begin.meter(world, number, s)
         first = 0 if meter is None else -1
@@ -373,9 +418,10 @@ def surfaces(
         which = jnp.floor(-jnp.log2(jnp.maximum(1.0 - u, 1e-9))).astype(jnp.int32) + first
         which = jnp.minimum(which, last) if steps > 1 else jnp.full_like(which, first)
         rare = jnp.exp2(jnp.minimum(which - first + 1, last - first if steps > 1 else 0).astype(u.dtype))
-        total = Spectrum.full(plan.channels, 0.0 * begun.o.x)
-        x = surface_point(fixed, jnp.zeros_like(begun.depth), sg(begun.o), sg(begun.d))  # of the right structure
-        kept = (begun.o, x, sg(begun.d), sg(begun.beta), begun.alive & False)
+        total, kept = Spectrum.full(plan.channels, 0.0 * begun.o.x), None
+        if reflecting:
+            x = surface_point(fixed, jnp.zeros_like(begun.depth), sg(begun.o), sg(begun.d))  # of the right structure
+            kept = (begun.o, x, sg(begun.d), sg(begun.beta), begun.alive & False)
         white = lambda n, w: Spectrum.full(plan.channels, jnp.maximum(dot(n, w), 0.0))
         if meter is not None:
             position, normal, weight = meter
@@ -383,7 +429,8 @@ def surfaces(
             if plan.light_kinds:
                 seen = Seen(position, sg(normal), sg(normal) * 0.0, beta)
                 total = total + shadows(world, edges, seen, functools.partial(white, sg(normal)), s.child(22))
-            kept = (position, replace(x, normal=sg(normal)), sg(normal), beta, which == -1)
+            if kept is not None:
+                kept = (position, replace(kept[1], normal=sg(normal)), sg(normal), beta, which == -1)
 
         def body(carry: Any, k: Any) -> tuple[Any, None]:
             state, total, kept = carry
@@ -397,8 +444,9 @@ def surfaces(
                 f = functools.partial(reflected, fixed, sg(at))
                 term = shadows(world, edges, landed(x, at, state.beta), f, s_k.child(22))
                 total = total + term.map(lambda c: jnp.where(alive, c, 0.0))
-            here = alive & (k.astype(jnp.int32) == which)
-            kept = where(here, (x.position, sg(x), sg(wo), sg(state.beta), here), kept)
+            if kept is not None:
+                here = alive & (k.astype(jnp.int32) == which)
+                kept = where(here, (x.position, sg(x), sg(wo), sg(state.beta), here), kept)
             node = world.settle(reflection_node(world, at, s_k))
             beta = sg(state.beta * node.weight)
             follow = path.PathState(
@@ -410,24 +458,26 @@ def surfaces(
         if steps > 1:
             landings = jnp.arange(steps - 1, dtype=jnp.uint32)
             (_, total, kept), _ = jax.lax.scan(body, (begun, total, kept), landings)
-        position, x, wo, beta, found = kept
-        s_k = path.bounce_stream(s, which)
-        at = shading_at(fixed, x, wo, choice(fixed, s_k))
-        seen, f = replace(landed(x, at, beta * rare), position=position), functools.partial(reflected, fixed, at)
-        if meter is not None:
-            here = which == -1
-            normal = where(here, x.normal, seen.normal)
-            seen = replace(seen, normal=normal, lift=seen.lift * jnp.where(here, 0.0, 1.0))
-            f = lambda w: where(here, white(normal, w), reflected(fixed, at, w))
-        term = outlines(world, edges, depths, seen, f, s_k.child(23), which)
-        total = total + term.map(lambda c: jnp.where(found, c, 0.0))
+        if kept is not None:
+            position, x, wo, beta, found = kept
+            s_k = path.bounce_stream(s, which)
+            at = shading_at(fixed, x, wo, choice(fixed, s_k))
+            seen, f = replace(landed(x, at, beta * rare), position=position), functools.partial(reflected, fixed, at)
+            if meter is not None:
+                here = which == -1
+                normal = where(here, x.normal, seen.normal)
+                seen = replace(seen, normal=normal, lift=seen.lift * jnp.where(here, 0.0, 1.0))
+                f = lambda w: where(here, white(normal, w), reflected(fixed, at, w))
+            term = outlines(world, edges, depths, seen, f, s_k.child(23), which, further)
+            total = total + term.map(lambda c: jnp.where(found, c, 0.0))
         counts = begin.weight(world, number, s)
         return (total if counts is None else total * sg(counts)).array()
 
     @functools.partial(jax.checkpoint, prevent_cse=False)
-    def one_pass(numbers: Any, sample: Any) -> Any:
-        return jax.vmap(lambda number: one(number, sample))(numbers)
+    def one_pass(motion: Any, numbers: Any, sample: Any) -> Any:
+        terms = lambda world, begin: jax.vmap(lambda number: one(world, begin, number, sample))(numbers)
+        return along(terms, (world, begin), motion)[1]
 
     zero = jnp.zeros((numbers.shape[0], plan.channels), world.faces.dtype)
-    add = lambda total, sample: (total + one_pass(numbers, sample), None)
+    add = lambda total, sample: (total + one_pass(motion, numbers, sample), None)
     return jax.lax.scan(add, zero, jnp.arange(spp, dtype=jnp.int32))[0] / spp

@@ -143,21 +143,21 @@ def _means_jvp(primals: Any, tangents: Any) -> Any:
         geometry, begin, _ = refused.once((world.geometry, begin, placed))
         world = eqx.tree_at(lambda w: w.geometry, world, geometry)
 
-    def around(world: World, edges: Any, begin: Any, depths: path.Depths, seed: Any, row: Any) -> Any:
-        return visibility.surfaces(world, edges, begin, steps, depths, seed, row, spp)
+    def around(world: World, edges: Any, begin: Any, motion: Any, depths: path.Depths, seed: Any, row: Any) -> Any:
+        return visibility.surfaces(world, edges, begin, motion, steps, depths, seed, row, spp)
 
-    def fixed(world: World, begin: Any, field: Any) -> Any:
-        values = over_devices(chunk, wide, world, begin, depths, seed, field)
-        if edges is not None and moves:
-            if steps > 1 or begin.searches:
-                values = values + over_devices(around, wide, world, edges, begin, depths, seed)
-            if isinstance(begin, View):
-                samples = math.ceil(spp * SILHOUETTE * math.sqrt(n))
-                seen = silhouettes.picture(world, edges, begin, depths, seed, n, samples)
-                values = values + seen[jnp.minimum(wide, n - 1)]
-        return values.reshape(-1, values.shape[-1])[: numbers.size].reshape(*numbers.shape, -1)
-
-    return eqx.filter_jvp(fixed, (world, begin, field), (tangents[0], tangents[1], tangents[4]))
+    interior = lambda world, begin, field: over_devices(chunk, wide, world, begin, depths, seed, field)
+    motion = tangents[0], tangents[1]
+    values, slopes = visibility.along(interior, (world, begin, field), (*motion, tangents[4]))
+    if edges is not None and moves:
+        if steps > 1 or begin.searches:
+            slopes = slopes + over_devices(around, wide, world, edges, begin, motion, depths, seed)
+        if isinstance(begin, View):
+            samples = math.ceil(spp * SILHOUETTE * math.sqrt(n))
+            seen = silhouettes.picture(world, edges, begin, motion, steps, depths, seed, n, samples)
+            slopes = slopes + seen[jnp.minimum(wide, n - 1)]
+    asked = lambda a: a.reshape(-1, a.shape[-1])[: numbers.size].reshape(*numbers.shape, -1)
+    return asked(values), asked(slopes)
 
 
 @functools.partial(jax.jit, static_argnames=("n", "spp", "max_depth", "boundary"))

@@ -123,11 +123,11 @@ def probing():
     def dark(channels, lanes):
         return jnp.zeros((lanes, channels))
 
-    def surfaces(world, edges, begin, steps, depths, seed, row, spp):
+    def surfaces(world, edges, begin, motion, steps, depths, seed, row, spp):
         asked.append("surfaces")
         return dark(world.plan.channels, len(row))
 
-    def picture(world, edges, view, depths, seed, n, samples):
+    def picture(world, edges, view, motion, steps, depths, seed, n, samples):
         asked.append("picture")
         return dark(world.plan.channels, n)
 

@@ -2,6 +2,7 @@
 
 import functools
 from dataclasses import replace
+from unittest import mock
 
 import jax
 import jax.numpy as jnp
@@ -11,10 +12,12 @@ from helpers import frame, icosphere, look_at, moved
 
 import jaxrt
 from jaxrt.gradient import edges as edge
+from jaxrt.gradient import visibility
 from jaxrt.gradient.edges import edges_of
 from jaxrt.gradient.visibility import Seen, shadows
 from jaxrt.sampling.sobol import Drawn
 from jaxrt.scene import in_working_precision
+from jaxrt.solver import measure
 from jaxrt.vector import Spectrum, Vec3, dot
 from jaxrt.world import prepare
 
@@ -199,6 +202,40 @@ def test_an_arc_is_the_part_of_an_edge_in_a_cone():
     found = (phi > low[:, None]) & (phi < high[:, None])
     assert ((found == inside) | border)[:, 1:-1].all()
     assert inside.any() and not inside.all()
+
+
+@pytest.mark.parametrize("enclosure, depth, asked", [(0.0, 2, False), (0.0, 3, True), (1.0, 2, True)])
+def test_what_reflected_light_sees_is_traced_where_it_is_more_than_lamps(enclosure, depth, asked):
+    """Traced, not compiled, and all other light stands aside."""
+    found = []
+
+    def outlines(world, edges, depths, seen, *rest):
+        found.append(seen)
+        return Spectrum.full(world.plan.channels, 0.0 * seen.position.x)
+
+    dark = lambda world, edges, seen, *rest: Spectrum.full(world.plan.channels, 0.0 * seen.position.x)
+    none = lambda world, *rest: jnp.zeros((16, 1))
+
+    lamp = jaxrt.Rectangle(id="lamp", to_world=LAMP, emission=1.0, bsdf=BLACK)
+    floor = jaxrt.Rectangle(id="floor", bsdf=jaxrt.Diffuse(0.5))
+    sensor = jaxrt.Sensor("perspective", look_at((0, -3, 2), (0, 0, 0)), film=jaxrt.Film(4, 4))
+    scene = jaxrt.Scene.build([lamp, floor], sensors=[sensor], enclosure=jaxrt.Enclosure(enclosure))
+    plan = jaxrt.plan(scene, free="lamp.to_world")
+
+    def mean(to_world):
+        moved_scene = jaxrt.with_params(scene, {"lamp.to_world": to_world})
+        return jaxrt.measure(moved_scene, 0, plan=plan, spp=3, max_depth=depth).mean()
+
+    along = lambda m: jax.jvp(mean, (m,), (m,))[1]
+    with (
+        mock.patch.object(measure, "_pixels", measure._pixels.__wrapped__),
+        mock.patch.object(measure.path, "trace_fixed", none),
+        mock.patch.object(measure.silhouettes, "picture", none),
+        mock.patch.object(visibility, "shadows", dark),
+        mock.patch.object(visibility, "outlines", outlines),
+    ):
+        jax.eval_shape(along, jnp.asarray(LAMP, jnp.float32))
+    assert bool(found) is asked
 
 
 # -------------------------------------------------------------------------------- against central differences
