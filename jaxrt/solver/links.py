@@ -270,6 +270,8 @@ def _link_rows_jvp(primals: Any, tangents: Any) -> Any:
     def fixed(world: World) -> Links:
         one = lambda world, elements, seed, row: _links_fixed(world, elements, seed, row, count, follow, lengths)
         found = over_devices(one, chunks(rows.reshape(-1), WIDE), _met(world, elements), elements, seed)
-        return jax.tree.map(lambda a: a.reshape(-1, *a.shape[2:])[: rows.size].reshape(*rows.shape, *a.shape[2:]), found)
+        return jax.tree.map(
+            lambda a: a.reshape(-1, *a.shape[2:])[: rows.size].reshape(*rows.shape, *a.shape[2:]), found
+        )
 
     return eqx.filter_jvp(fixed, (world,), (tangents[0],))
