@@ -215,20 +215,17 @@ def one_function(f: Callable[..., Any]) -> Callable[..., Any]:
             structures.append(structure)
             zero = _zero(given)
             first = first.at[(0,) * first.ndim].add(zero.astype(first.dtype))
-            return [first, *others, first[(0,) * first.ndim], zero]  # never one array: XLA would split it over threads
+            return [first, *others, zero]  # never one array: XLA would split it over threads
 
         given = {k: leaf for k, leaf in enumerate(leaves) if k not in empty}
-        # One barrier an array: of several, arrays without a tangent would be given one of zeros, a constant.
-        first, *others, spare, zero = jax.jit(inner)({k: jax.lax.optimization_barrier(a) for k, a in given.items()})
+        *values, _ = jax.jit(inner)(jax.lax.optimization_barrier(given))
         try:
             from jax.experimental.xla_metadata import set_xla_metadata
 
-            first = set_xla_metadata(first, inlineable="false", xla_cpu_small_call="true")
+            values[0] = set_xla_metadata(values[0], inlineable="false", xla_cpu_small_call="true")
         except (ImportError, TypeError):  # a hint only: other versions of jax run without it
             pass
-        at = (0,) * first.ndim
-        first = first.at[at].set(jnp.where(zero == 0, first[at], spare))  # so that derivatives have two arrays as well
-        return jax.tree.unflatten(structures[-1], [first, *others])
+        return jax.tree.unflatten(structures[-1], values)
 
     return call
 

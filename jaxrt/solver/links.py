@@ -223,11 +223,9 @@ def _links_fixed(
 
         return jax.vmap(element)(numbers)
 
-    together = one_function(one) if world.plan.backend == "dense" else one
-
     @functools.partial(jax.checkpoint, prevent_cse=False)
     def add(direct: Any, k: Any) -> Any:
-        light, (target, weight, edges) = together(world, elements, seed, numbers, k)
+        light, (target, weight, edges) = one(world, elements, seed, numbers, k)
         return direct + jnp.stack([light.array() for light in light], 1), (target, weight.array(), edges)
 
     zero = jnp.zeros((n, 2 * lengths, channels), world.faces.dtype)

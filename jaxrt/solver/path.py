@@ -377,14 +377,6 @@ def trace_fixed(
 
     `moving`: whether surfaces or the camera do.
     """
-    whole = world.plan.bounces and world.plan.backend == "dense"
-    fixed = functools.partial(_fixed, steps, spp, moving)
-    return (one_function(fixed) if whole else fixed)(world, begin, depths, seed, numbers, field)[0]
-
-
-def _fixed(
-    steps: int, spp: int, moving: bool, world: World, begin: Any, depths: Depths, seed: Any, numbers: Any, field: Any
-) -> tuple[Any]:
     watched = begin if field is None else Watched(begin)
 
     @functools.partial(jax.checkpoint, prevent_cse=False)
@@ -417,4 +409,4 @@ def _fixed(
         return (new, sg((new - total) - value)), None
 
     zero = jnp.zeros((numbers.shape[0], world.plan.channels), world.faces.dtype)
-    return (jax.lax.scan(add, (zero, zero), jnp.arange(spp, dtype=jnp.int32))[0][0] / spp,)
+    return jax.lax.scan(add, (zero, zero), jnp.arange(spp, dtype=jnp.int32))[0][0] / spp
