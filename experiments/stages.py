@@ -104,7 +104,7 @@ def room(res: int, *more: Any, **kw: Any) -> jaxrt.Scene:
 def motions(res: int = 48) -> dict[str, Callable[[], Motion]]:
     cube = lambda v: lambda t: {"cube.to_world": shifted(CUBE, jnp.asarray(v) * t)}
     v, f = icosphere()
-    ball = jaxrt.Mesh(id="ball", vertices=v * 0.5 + [-0.2, 0.9, 0.1], faces=f, normals=v, bsdf=jaxrt.Diffuse(0.4))
+    ball = jaxrt.Mesh(id="ball", vertices=v * 0.5 + [-0.2, 0.9, 0.1], faces=f, bsdf=jaxrt.Diffuse(0.4))
     sphere = jaxrt.Sphere(id="ball", center=(-0.2, 0.9, 0.1), radius=0.5, bsdf=jaxrt.Diffuse(0.4))
     disk = jaxrt.Disk(id="disk", to_world=placed(0.4, (1.0, 1.2, 0.3), "y"), bsdf=jaxrt.TwoSided(jaxrt.Diffuse(0.6)))
     tube = jaxrt.Cylinder(
@@ -141,7 +141,7 @@ def motions(res: int = 48) -> dict[str, Callable[[], Motion]]:
         "all at once": lambda: Motion(stage(res), everything, 2),
         "under the sky": lambda: Motion(stage(res, lamp=0.0, enclosure=1.0), cube([1.0, 0.3, 0.3]), 2),
         "glossy floor": lambda: Motion(stage(res, floor=jaxrt.Conductor(0.3, id="gloss")), cube([1.0, 0.0, 0.3]), 3),
-        "smooth ball": lambda: Motion(
+        "ball of facets": lambda: Motion(
             stage(res, cube=ball),
             lambda t: {"ball.vertices": jnp.asarray(v * 0.5 + [-0.2, 0.9, 0.1]) + jnp.array([1.0, 0.2, 0.3]) * t},
             2,

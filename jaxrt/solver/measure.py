@@ -105,7 +105,7 @@ def _means(
     """Means of lanes (chunks, lanes) -> (chunks, lanes, C), by the loop without reverse mode.
 
     `edges`: those of M, for derivatives by what moves; `placed`: lamps without extent, places of
-    instances, grids of distances. `n`: lanes that there are in all, of which `numbers` may be some.
+    instances, grids of distances, vertex normals. `n`: lanes that there are in all, of which `numbers` may be some.
     """
 
     def chunk(world: World, begin: Any, depths: path.Depths, seed: Any, field: Any, row: Any) -> Any:
@@ -189,7 +189,7 @@ def _pixels(
         seed_of(key),
         field,
         edges,
-        (scene.lamps, scene.instances, scene.distances),
+        (scene.lamps, scene.instances, scene.distances, scene.normals),
         numbers,
         n,
         spp,

@@ -42,7 +42,7 @@ def plain():
         "thinlens", POSE, film=jaxrt.Film(8, 8, "box"), aperture_radius=0.1, focus_distance=4.0, id="lens"
     )
     metal = jaxrt.Conductor(0.3, 0.2, 3.9, id="metal")
-    block = jaxrt.Mesh(id="block", vertices=v * 0.3, faces=f, normals=v, to_world=moved(1.0, (1, 0, 0.5)), bsdf=metal)
+    block = jaxrt.Mesh(id="block", vertices=v * 0.3, faces=f, to_world=moved(1.0, (1, 0, 0.5)), bsdf=metal)
     ball = jaxrt.Sphere(id="ball", center=(-1, 0, 0.5), radius=0.4, bsdf=jaxrt.Diffuse(0.5, id="red"))
     sky = jaxrt.Enclosure(jaxrt.Bitmap(np.ones((2, 4))), id="sky")
     wood = jaxrt.Diffuse(jaxrt.Bitmap(np.full((2, 2), 0.5)), id="wood")
@@ -57,6 +57,11 @@ def on(bsdf):
 def instance():
     group = jaxrt.Group(shapes=[jaxrt.Cube()])
     return room(jaxrt.Instance(group=group, to_world=moved(0.3), id="copy"))
+
+
+def smooth():
+    v, f = icosphere(0)
+    return room(jaxrt.Mesh(id="block", vertices=v * 0.3, faces=f, normals=v))
 
 
 def smooth_lamp():
@@ -88,7 +93,7 @@ ROWS = [  # what, a scene, parameters of it (one of each table), and how it is m
     ("reflectance, roughness, index of refraction", plain, ["metal.alpha"], {}),
     ("texels, and where they lie", plain, ["wood.reflectance.data", "wood.reflectance.to_uv"], {}),
     ("radiance of area lights and enclosures, their pictures", plain, ["lamp.emitter.radiance", "sky.radiance.data"], {}),
-    ("the turn of an enclosure; vertex normals", plain, ["sky.to_world", "block.normals"], {}),
+    ("the turn of an enclosure", plain, ["sky.to_world"], {}),
     ("values that a plan takes for granted", room, ["enclosure.radiance"], {"free": "paint.*"}),
     ("intensity of lamps without extent", bulb, ["bulb.intensity"], {}),
     ("radiance of the sun", open_air, ["sun.radiance"], {}),
@@ -102,6 +107,7 @@ ROWS = [  # what, a scene, parameters of it (one of each table), and how it is m
     ("with grids of distances", lambda: room(GRID), [*MOVES, "grid.grid"], {}),
     ("with glass or curved mirrors", on(jaxrt.Dielectric()), [*MOVES, "ball.center"], {}),
     ("with textures that jump", lambda: room(floor=BOARD), [*MOVES, "board.reflectance.to_uv"], {}),
+    ("with vertex normals, and by these", smooth, [*MOVES, "eye.to_world", "block.vertices", "block.normals"], {}),
     ("with lamps with vertex normals", smooth_lamp, [*MOVES, "lamp.vertices"], {}),
     ("with `hide_emitters`", lambda: room(integrator=jaxrt.Integrator(hide_emitters=True)), MOVES, {}),
     ("seen by orthographic cameras, with curved shapes", of_kind("orthographic"), [*MOVES, "eye.to_world"], {}),
