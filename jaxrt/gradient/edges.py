@@ -45,6 +45,7 @@ class Edges(eqx.Module):
     border: Bool[Array, " E"]
     crease: Bool[Array, " E"]
     there: Bool[Array, " E"]
+    shapes: Int32[Array, " P"]  # of each face
     mirrors: Float[Array, " P"] | None  # chance of each face, by area, to be the flat mirror in which edges are seen
     blocks: tuple[int, ...] = eqx.field(static=True)  # of faces, by kind: curved ones have outlines of their own
     cuts: int = eqx.field(static=True, default=0)
@@ -62,6 +63,12 @@ class Edges(eqx.Module):
             return row[0], row[1]
         curved, face = j >= len(self.faces), jnp.asarray(faces).at[j - len(self.faces)].get(mode="clip")
         return jnp.where(curved, face, row[0]), jnp.where(curved, face, row[1])
+
+    def belongs(self, j: Any, face: Any) -> Any:
+        """Whether a face is of a shape of edge j: beside an outline one soon lands on the next face but one."""
+        of = lambda face: self.shapes.at[jnp.maximum(face, 0)].get(mode="clip")
+        a, b = self.faces_at(j)
+        return (face >= 0) & ((of(face) == of(a)) | (of(face) == of(b)))
 
     def curve(self, world: World, c: Any, x: Vec3, u: Any) -> tuple[Vec3, Vec3, Vec3]:
         """`curves.point` of curve number c."""
@@ -141,7 +148,9 @@ def edges_of(scene: Scene, world: World) -> Edges:
     if sum(scene.blocks[:2]) == 0:
         none = lambda n: jnp.zeros((0, n), geometry.dtype)
         no = jnp.zeros(0, bool)
-        return Edges(none(6), none(6), none(4), none(2).astype(int), no, no, no, mirrors, scene.blocks)
+        return Edges(
+            none(6), none(6), none(4), none(2).astype(int), no, no, no, scene.face_shape, mirrors, scene.blocks
+        )
     flat = tuple(enumerate(scene.blocks[:2]))
     at, face, uv, real, normals = _halves(scene)
     h = len(face)
@@ -190,7 +199,9 @@ def edges_of(scene: Scene, world: World) -> Edges:
         aside = jnp.concatenate([ends[:, :3] + 1.0, ends[:, :3] - 1.0], -1)  # on both sides: these hide nothing
         more = ends, aside, uv, faces, ~there & there, there, there
         rows = [jnp.concatenate(pair) for pair in zip(rows, more, strict=True)]
-    return Edges(*rows, mirrors=mirrors, blocks=scene.blocks, cuts=0 if found is None else len(found[0]))
+    return Edges(
+        *rows, shapes=scene.face_shape, mirrors=mirrors, blocks=scene.blocks, cuts=0 if found is None else len(found[0])
+    )
 
 
 def _mirrors(scene: Scene, world: World) -> Any:

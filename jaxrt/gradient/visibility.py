@@ -339,8 +339,7 @@ def shadows(world: World, edges: Edges, seen: Seen, value: Any, s: Stream) -> Sp
     asked = z.light_density > 0
     if bounds.shape[0] > 1:
         asked &= face == fixed.light_rows[k, 14 + plan.channels].astype(jnp.int32)
-    owner = (hider == edges.faces_at(j)[0]) | (hider == edges.faces_at(j)[1])
-    ok = asked & owner & (face >= 0) & (z.distance > r * 1.0001) & (chosen.weight > 0)
+    ok = asked & edges.belongs(j, hider) & (face >= 0) & (z.distance > r * 1.0001) & (chosen.weight > 0)
     emitted = radiance_of(fixed, z, -w)
     scale = jnp.where(ok, -free * chosen.weight * cdf[-1] / jnp.maximum(chances[k], 1e-30) / r, 0.0)
     coefficient = seen.beta * value(chosen.w) * emitted * scale

@@ -150,7 +150,7 @@ def _land(world: World, depths: Depths, state: PathState, s: Stream, face: Any) 
 
 
 def _met(world: World, depths: Depths, state: PathState, s: Stream, face: Any) -> tuple[Landing, Any]:
-    """The point on a face where the path lands, with the emission met there, and which of a surface's lobes it meets."""
+    """The point on a face where the path lands, with the emission met there, and the choice of a material."""
     plan = world.plan
     x = surface_point(world, face, state.o, state.d)
     used = {name: getattr(x, name) for name in _USED}

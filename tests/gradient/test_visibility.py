@@ -286,6 +286,23 @@ def moving(name):
     return scene, at, {"direct": 2, "curved": 2, "indirect": 4, "mirror": 3}[name]
 
 
+def test_the_shadow_of_a_fine_mesh():
+    """A ball of 1280 faces that grows: beside its outline one lands on faces farther in, where half of it is lost."""
+    v, f = icosphere(3)
+    ball = jaxrt.Mesh(id="ball", vertices=v * 0.5 + [0, 0, 1], faces=f, bsdf=BLACK)
+    lamp = jaxrt.Rectangle(to_world=moved(0.5, (0, 0, 3), frame((0, 0, -1), (1, 0, 0))), emission=1.0, bsdf=BLACK)
+    scene = jaxrt.Scene.build([ball, lamp])
+    points = np.array([[r * np.cos(a), r * np.sin(a), 0] for a in (0.3, 2.0, 4.0) for r in (0.55, 0.7, 0.85)])
+
+    def total(t, spp):
+        grown = jaxrt.with_params(scene, {"ball.vertices": jnp.asarray(v) * (0.5 + t) + jnp.array([[0, 0, 1.0]])})
+        return jaxrt.irradiance(grown, points, [[0, 0, 1.0]], plan=scene.plan, spp=spp, max_depth=1).sum()
+
+    slope = jax.jit(lambda t: jax.jvp(lambda t: total(t, 512), (t,), (1.0,))[1])(0.0)
+    plain, h = jax.jit(lambda t: total(t, 1 << 15)), 0.01
+    assert abs(float(slope) / float((plain(h) - plain(-h)) / (2 * h)) - 1) < 0.06
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["direct", "indirect", "mirror", "curved"])
 def test_all_moves_at_once(name):
