@@ -26,6 +26,7 @@ import jax.numpy as jnp
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parent.parent))
+from fits import use_cores
 from peer import circumstances, load_mitsuba
 
 import jaxrt
@@ -95,6 +96,7 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true", help="small pictures, few samples")
     parser.add_argument("--once", nargs=4, metavar=("res", "spp", "depth", "way"), help="one gradient; its peak memory")
     args = parser.parse_args()
+    use_cores()
     if args.once:
         ours(*map(int, args.once[:3]), args.once[3])(SEED)
         print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
