@@ -31,6 +31,6 @@ def look_up(rows: Sequence[Spectrum], u: Any, v: Any) -> Spectrum:
     across = cross(w, sun)
     gamma = jnp.arctan2(safe_sqrt(dot(across, across)), dot(w, sun))  # precise near the sun as well
     above = v <= 0.5
-    cos_theta = jnp.where(above, jnp.maximum(w.y, 0.0), 1.0)
+    cos_theta = jnp.where(above, jnp.maximum(w.y, 1e-7), 1.0)  # at 0 the root has no slope
     of_channel = zip(*(row.channels for row in rows[:10]), strict=True)
     return Spectrum(tuple(jnp.where(above, radiance(c, cos_theta, gamma), 0.0) for c in of_channel))

@@ -48,7 +48,7 @@ class Plan:
     smooth_normals: bool = False
     smooth_lights: bool = False  # whether a face that emits has vertex normals
     light_kinds: tuple[str, ...] = ()  # kinds of faces that emit
-    lamp_kinds: tuple[str, ...] = ()  # of lamps without extent
+    lamp_kinds: tuple[str, ...] = ()  # of lamps without extent, and the sun
     web: int = 0  # angles of the finest photometric web
     many_lights: bool = False
     solid_angle: bool = False  # whether flat lights are sampled by it

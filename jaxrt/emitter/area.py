@@ -9,6 +9,7 @@ Densities are over solid angle at the lit point; sampling and densities are held
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import equinox as eqx
@@ -18,10 +19,11 @@ import numpy as np
 
 from .. import coordinates
 from ..gradient.material import towards
+from ..parts import LAMPS
 from ..radiometry import one_minus_cos
 from ..sampling import warp
 from ..sampling.sobol import Drawn, Stream
-from ..surface import SurfacePoint, _row, _vec, light_normal, textured
+from ..surface import SurfacePoint, _row, _vec, light_normal, radiance_of, surface_point, textured
 from ..texture import Place
 from ..vector import Frame, Spectrum, Vec3, cross, dot, length, normalise, safe_sqrt, where
 from ..world import FACE, FEW_LIGHTS, World
@@ -136,7 +138,13 @@ def sample(world: World, x: Vec3, s: Stream | Drawn, pair: int, n: Vec3 | None =
         around = _of_environment(world, x, row[13], s.pair_at(pair))
         light = around if light is None else where(face == -1, around, light)
     assert light is not None
-    return light
+    if world.sun is None:
+        return light
+    # Whether drawn for the sun or for what is around it, both are met there, and either could have been drawn for it.
+    y = surface_point(world, jnp.full_like(face, -1), x, light.w)
+    pdf = density(world, x, y, light.w)
+    beyond = replace(light, radiance=radiance_of(world, y, -light.w), pdf=pdf, known=pdf, face=y.face)
+    return where((face == -1) | ((face < -1) & (row[8] == LAMPS.index("sun"))), beyond, light)
 
 
 def _of_environment(world: World, x: Vec3, chance: Any, u: tuple[Any, Any]) -> LightSample:

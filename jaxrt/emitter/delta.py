@@ -19,7 +19,7 @@ ALONE = 1e30
 
 def sample(world: World, x: Vec3, row: Any, u: tuple[Any, Any]) -> tuple[Vec3, Any, Spectrum, Any, Any]:
     """Direction from x to the lamp of a row, distance (m), radiance over solid angle, its chance, and `ALONE`. Of the
-    sun the direction is drawn by u, and both numbers are its density (sr⁻¹)."""
+    sun the direction alone, drawn by u."""
     plan = world.plan
     position, axis, kind = _vec(row, 0), normalise(_vec(row, 3)), row[8]
     to = position - x
@@ -54,8 +54,6 @@ def sample(world: World, x: Vec3, row: Any, u: tuple[Any, Any]) -> tuple[Vec3, A
         here = kind == LAMPS.index("sun")
         w = where(here, world.sun.sample(u), w)
         distance = jnp.where(here, 4.0 * world.radius + 1.0, distance)
-        radiance = where(here, world.sun.radiance(w), radiance)
-        chance, known = (jnp.where(here, world.sun.density(w), a) for a in (chance, known))
     return w, distance, radiance, chance, known
 
 

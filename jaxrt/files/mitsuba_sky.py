@@ -26,8 +26,10 @@ def sunsky(ctx: Context, element: Element) -> tuple[parts.Enclosure, list[parts.
     """The sky, and the sun if there is one above the horizon and not black."""
     to_world = ctx.transform(element)
     scale = np.linalg.norm(to_world[:3, 0])
-    if not np.allclose(to_world[:3, :3].T @ to_world[:3, :3], scale**2 * np.eye(3), atol=1e-4 * scale**2):
-        element.fail("is stretched by its to_world; only turn it")
+    if not scale > 0 or not np.allclose(
+        to_world[:3, :3].T @ to_world[:3, :3], scale**2 * np.eye(3), atol=1e-4 * scale**2
+    ):
+        element.fail("is stretched or shrunk to nothing by its to_world; only turn it")
     turn = to_world[:3, :3] / scale
     towards = _towards_sun(ctx, element, turn)
     number = lambda name, default, **bounds: ctx.part(
@@ -44,7 +46,7 @@ def sunsky(ctx: Context, element: Element) -> tuple[parts.Enclosure, list[parts.
         element.fail("has a complex_sun, which is not supported; leave it out for a disc that is even")
     ctx.finish(element, SAMPLING)
     name, sun_name = ctx.name(element, "enclosure"), f"{element.id}_sun" if element.id else ctx.name(element, "sun")
-    if towards[2] < 0:
+    if towards[2] < -1e-6:  # and not for rounding
         ctx.notes.append(f"{element.node.label}: its sun is below the horizon, so that it is dark, as in Mitsuba")
         sun_scale = sky_scale = 0.0
     elevation = float(np.arcsin(np.clip(towards[2], 0, 1)))
@@ -52,7 +54,7 @@ def sunsky(ctx: Context, element: Element) -> tuple[parts.Enclosure, list[parts.
     if sky_scale > 0:
         found = sky.coefficients(turbidity, albedo, elevation) * np.append(np.ones(9), sky_scale)
         radiance = ctx.part(element, parts.Sky, coefficients=found, sun=UPRIGHT[:3, :3].T @ towards)
-    around = parts.Enclosure(radiance, to_world @ UPRIGHT, name)
+    around = ctx.part(element, parts.Enclosure, radiance=radiance, to_world=to_world @ UPRIGHT, id=name)
     if not sun_scale > 0:
         return around, []
     light = np.maximum(sky.sun_radiance(turbidity, elevation, aperture), 0) * sun_scale

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 
 
 def uniform_adam(rate: Any, b1: float = 0.9, b2: float = 0.99) -> Any:
-    """Adam whose steps are the mean gradient over the root of the largest mean square in each parameter.
+    """Adam whose steps are the mean gradient over one root mean square a parameter: of its largest number at each step.
 
     By number, as Adam does it, a smooth gradient becomes a rough step, and `Smooth` displacements do not stay so
     (B. Nicolet, A. Jacobson, W. Jakob, Large Steps in Inverse Rendering of Geometry, 2021, section 4.3). `rate`: a

@@ -404,7 +404,9 @@ def surfaces(
     fixed, plan = sg(world), world.plan
     seed, last = combine(seed, 0xB0DE), max(steps - 2, 0)
     further = steps > (1 if begin.searches else 2)
-    reflecting = further or plan.enclosure  # else what is seen beside edges is lamps, which shadows are of
+    reflecting = (
+        further or plan.enclosure or not plan.light_kinds
+    )  # else what is seen beside edges is lamps, which shadows are of
 
     def landed(x: SurfacePoint, at: Any, beta: Spectrum) -> Seen:
         return Seen(x.position, sg(at.frame.n * at.side), sg(x.normal) * fixed.epsilon, sg(beta))

@@ -236,8 +236,11 @@ def _links_fixed(
 
 
 def _derived(plan: Plan) -> int:
-    """Reflections after which derivatives give up a link: on diffuse surfaces alone it has ended by then."""
-    return PATIENCE + 1 if plan.lobes == ("diffuse",) and not plan.instances else DERIVED
+    """Reflections after which derivatives give up a link: where all surfaces have elements it has ended by then."""
+    plain = plan.lobes == ("diffuse",) and not (
+        plan.instances or plan.textures or plan.nodes or "sdfgrid" in plan.kinds
+    )
+    return PATIENCE + 1 if plain else DERIVED
 
 
 def link_rows(world: World, elements: Elements, seed: Any, rows: Any, count: int, follow: bool, lengths: int) -> Links:

@@ -149,7 +149,7 @@ def _means_jvp(primals: Any, tangents: Any) -> Any:
     interior = lambda world, begin, field: over_devices(chunk, wide, world, begin, depths, seed, field)
     motion = tangents[0], tangents[1]
     values, slopes = visibility.along(interior, (world, begin, field), (*motion, tangents[4]))
-    if edges is not None and moves:
+    if edges is not None and moves and steps > 0:
         if steps > 1 or begin.searches:
             slopes = slopes + over_devices(around, wide, world, edges, begin, motion, depths, seed)
         if isinstance(begin, View):
