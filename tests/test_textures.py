@@ -134,7 +134,7 @@ def test_the_density_of_an_environment():
     data[1, 2] = data[4, 6] = 9.0
     turn = np.linalg.qr(np.random.default_rng(5).normal(size=(3, 3)))[0]
     scene = environment(data, turn * np.sign(np.linalg.det(turn)))
-    sky = Environment.of(scene, (8, 6))
+    sky = Environment.of(scene, (8, 6), "bitmap")
     n = 400
     z = (np.arange(n) + 0.5) / n * 2 - 1
     phi = (np.arange(2 * n) + 0.5) / n * np.pi
