@@ -205,27 +205,23 @@ def _links_fixed(
     """`_links` link by link, each of a fixed number of steps: what is differentiated."""
     n, channels = numbers.shape[0], world.plan.channels
 
-    def one(world: World, elements: Elements, seed: Any, numbers: Any, k: Any) -> Any:
-        def element(e: Any) -> Any:
-            def body(carry: Any, _: Any) -> Any:
-                link, going, direct, done = carry
-                after, found = world.settle(advance(world, elements, seed, follow, e, k, link))
-                bucket = _bucket(k, after.path.depth, count, lengths)
-                direct = _added(direct, found.light, bucket, going)
-                done = where(going, (found.target, found.weight, found.edges), done)
-                return (where(going, after, link), going & ~found.ended, direct, done), None
+    def element(e: Any, k: Any) -> Any:
+        def body(carry: Any, _: Any) -> Any:
+            link, going, direct, done = carry
+            after, found = world.settle(advance(world, elements, seed, follow, e, k, link))
+            bucket = _bucket(k, after.path.depth, count, lengths)
+            direct = _added(direct, found.light, bucket, going)
+            done = where(going, (found.target, found.weight, found.edges), done)
+            return (where(going, after, link), going & ~found.ended, direct, done), None
 
-            link, zero = begin(world, elements, seed, e, k), Spectrum.full(channels, jnp.zeros((), world.faces.dtype))
-            start = link, jnp.asarray(True), (zero,) * (2 * lengths), (jnp.int32(BLACK), zero, jnp.int32(0))
-            steps = _derived(world.plan) if follow else 1
-            _, _, direct, (target, weight, edges) = jax.lax.scan(body, start, None, length=steps)[0]
-            return direct, (target, weight, edges)
-
-        return jax.vmap(element)(numbers)
+        link, zero = begin(world, elements, seed, e, k), Spectrum.full(channels, jnp.zeros((), world.faces.dtype))
+        start = link, jnp.asarray(True), (zero,) * (2 * lengths), (jnp.int32(BLACK), zero, jnp.int32(0))
+        _, _, direct, done = jax.lax.scan(body, start, None, length=_derived(world.plan) if follow else 1)[0]
+        return direct, done
 
     @functools.partial(jax.checkpoint, prevent_cse=False)
     def add(direct: Any, k: Any) -> Any:
-        light, (target, weight, edges) = one(world, elements, seed, numbers, k)
+        light, (target, weight, edges) = jax.vmap(element, in_axes=(0, None))(numbers, k)
         return direct + jnp.stack([light.array() for light in light], 1), (target, weight.array(), edges)
 
     zero = jnp.zeros((n, 2 * lengths, channels), world.faces.dtype)
