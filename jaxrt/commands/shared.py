@@ -1,0 +1,42 @@
+"""What commands have in common: files that must be there, scenes, the progress bar."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import os
+import sys
+from collections.abc import Callable, Iterator
+from typing import Any
+
+from . import cache
+from .options import MistakeError
+
+
+def existing(path: str) -> None:
+    if not os.path.isfile(path):
+        raise MistakeError(f"{path}: no such file; check the path")
+
+
+def load(args: argparse.Namespace) -> Any:
+    existing(args.scene)
+    if not args.no_cache:
+        cache.use()
+    from ..loading import load
+
+    return load(args.scene, **dict(args.defaults))
+
+
+@contextlib.contextmanager
+def progress_bar() -> Iterator[Callable[[float], None] | None]:
+    """A callback that draws a progress bar with the time left on stderr; None where stderr is no terminal."""
+    if not sys.stderr.isatty():
+        yield None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
+
+    columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task("compiling", total=None)
+        yield lambda share: bar.update(task, description="rendering", total=1.0, completed=share)
