@@ -75,7 +75,7 @@ if TYPE_CHECKING:
     from .scene import Scene, params, with_params
     from .solver.field import Field, elements_of, solve
     from .solver.measure import irradiance, measure, radiance
-    from .solver.render import render, resized
+    from .solver.render import forecast, render, resized
     from .solver.solution import Solution, relative_mse
     from .surface import SurfacePoint
     from .vector import Spectrum, Vec3
@@ -98,7 +98,7 @@ _HOMES = {
     "scene": "Scene params with_params",
     "solver.field": "Field elements_of solve",
     "solver.measure": "irradiance measure radiance",
-    "solver.render": "render resized",
+    "solver.render": "forecast render resized",
     "solver.solution": "Solution relative_mse",
     "surface": "SurfacePoint",
     "vector": "Spectrum Vec3",
@@ -184,6 +184,7 @@ __all__ = [
     "emission",
     "estimate",
     "fit",
+    "forecast",
     "inner",
     "irradiance",
     "load",

@@ -5,7 +5,8 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING, Any
 
-from .shared import load, progress_bar
+from .options import tolerance
+from .shared import load, progress_bar, span
 
 if TYPE_CHECKING:
     from ..effects import Plan
@@ -15,6 +16,7 @@ def add(commands: Any, scene: argparse.ArgumentParser) -> None:
     parser = commands.add_parser("explain", parents=[scene], help="which effects a scene calls for, and why")
     add = parser.add_argument
     add("--measure", action="store_true", help="time a small picture with and without each effect")
+    add("--rtol", metavar="R", type=tolerance, help="what a picture with this relative error will cost, as 1%%")
     for flag, what in (("without", "out"), ("with", "in")):
         text = f"force effects {what}, and measure what a small picture loses; see the table for names"
         add(
@@ -51,6 +53,16 @@ def run(args: argparse.Namespace) -> None:
         mean, lost, error = dropped_radiance(scene, forced)
         share = f", {lost / mean:.2%} of {mean:.3g}" if mean else ""
         print(f"the mean of a small picture loses {lost:.3g} ± {error:.1g}{share}; {_dropped(fixed)}")
+
+    if args.rtol is not None:
+        from ..solver.render import forecast
+
+        told = forecast(scene, args.rtol)
+        print(f"by {told.method} ({told.why})")
+        if told.bounces:
+            print(told.bounces)
+        for one in told.costs:
+            print(f"relative error {one.error:.3%}: {span(one.seconds)}")
 
 
 def _dropped(plan: Plan) -> str:

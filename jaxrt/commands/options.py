@@ -53,6 +53,22 @@ def stops(text: str) -> float:
     raise argparse.ArgumentTypeError(f"is {text!r}; give a number of stops")
 
 
+def tolerance(text: str) -> float:
+    """A share, or so many percent."""
+    with contextlib.suppress(ValueError):
+        value = float(text.removesuffix("%")) * (0.01 if text.endswith("%") else 1.0)
+        if 0.0 < value < math.inf:
+            return value
+    raise argparse.ArgumentTypeError(f"is {text!r}; give a relative error, as 1% or 0.01")
+
+
+def duration(text: str) -> float:
+    with contextlib.suppress(ValueError):
+        if 0.0 < (value := float(text)) < math.inf:
+            return value
+    raise argparse.ArgumentTypeError(f"is {text!r}; give a positive number of seconds")
+
+
 def definition(text: str) -> tuple[str, str]:
     name, equals, value = text.partition("=")
     if not (name and equals):

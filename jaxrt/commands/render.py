@@ -6,11 +6,13 @@ import argparse
 import math
 import os
 import sys
+import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from .options import MistakeError, picture_size, sensor_numbers, stops, whole
-from .shared import load, progress_bar
+from . import BEGAN
+from .options import MistakeError, duration, picture_size, sensor_numbers, stops, tolerance, whole
+from .shared import load, progress_bar, tell_costs
 
 if TYPE_CHECKING:
     from ..solver.solution import Solution
@@ -21,6 +23,18 @@ def add(commands: Any, scene: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("-o", "--output", metavar="out.exr", help="the EXR, or the PNG beside it; default: the scene's name, here")
     add("--spp", metavar="N", type=whole(1), help="samples a pixel; default: what the scene asks")
+    add(
+        "--rtol",
+        metavar="R",
+        type=tolerance,
+        help="instead of --spp: samples until the relative error is below, as 1%%",
+    )
+    add(
+        "--seconds",
+        metavar="S",
+        type=duration,
+        help="the best picture in so many seconds, start and compiling included",
+    )
     add("--max-depth", metavar="D", type=whole(-1), help="1: emission only, 2: direct light, ..., -1: no end")
     add("--method", choices=("auto", "path", "field"), default="auto", help="how the equation is solved")
     add("--seed", metavar="S", type=whole(0, (1 << 62)), default=0, help="the same seed gives the same picture")
@@ -40,6 +54,9 @@ def add(commands: Any, scene: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> None:
+    for name in ("rtol", "seconds"):
+        if getattr(args, name) is not None and args.spp is not None:
+            raise MistakeError(f"--{name}: is given beside --spp; give one of them")
     exr, png = _outputs(args.scene, args.output)
     scene = load(args)
     from ..solver.render import render, resized
@@ -52,6 +69,9 @@ def run(args: argparse.Namespace) -> None:
             scene,
             args.spp,
             args.seed,
+            rtol=args.rtol,
+            seconds=None if args.seconds is None else max(args.seconds - (time.perf_counter() - BEGAN), 0.1),
+            foretold=tell_costs,
             method=args.method,
             max_depth=args.max_depth,
             sensor=list(sensors),
@@ -78,12 +98,21 @@ def run(args: argparse.Namespace) -> None:
 
 def _closing(sol: Solution) -> str:
     height, width = sol.image.shape[:2]
-    s, error = sol.stats, sol.relative_error
+    s, error, asked = sol.stats, sol.error, sol.header["rtol"]
     solved = f"solved in {s['seconds_solve']:.1f} s, " if s["method"] == "field" else ""
-    return (
+    done = (
         f"{width}x{height}, {s['spp']} samples a pixel by {s['method']}, compiled in {s['seconds_compile']:.1f} s, "
-        f"{solved}ran {s['seconds_run']:.1f} s, relative error {'unknown' if math.isnan(error) else f'{error:.2%}'}"
+        f"{solved}ran {s['seconds_run']:.1f} s, relative error "
     )
+    if math.isnan(error.total):
+        return done + "unknown"
+    parts = {name: getattr(error, name) for name in ("statistical", "truncation", "discretisation")}
+    parts = {name: part for name, part in parts.items() if part > 0}
+    said = f" ({', '.join(f'{name} {part:.2%}' for name, part in parts.items())})" if len(parts) > 1 else ""
+    if asked is None:
+        return done + f"{error.total:.2%}{said}"
+    missed = "; more samples do not help: take --method path" if error.claim > asked and s["method"] == "field" else ""
+    return done + f"asked {asked:.2%}, below {error.claim:.2%} in 95 of 100 renders{said}{missed}"
 
 
 def _outputs(scene: str, output: str | None) -> tuple[Path, Path]:

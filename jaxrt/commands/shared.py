@@ -7,10 +7,13 @@ import contextlib
 import os
 import sys
 from collections.abc import Callable, Iterator
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from . import cache
 from .options import MistakeError
+
+if TYPE_CHECKING:
+    from ..solver.tolerance import Forecast
 
 
 def existing(path: str) -> None:
@@ -40,3 +43,17 @@ def progress_bar() -> Iterator[Callable[[float], None] | None]:
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task("compiling", total=None)
         yield lambda share: bar.update(task, description="rendering", total=1.0, completed=share)
+
+
+def tell_costs(costs: list[Forecast]) -> None:
+    """What errors will cost, on stderr."""
+    said = "; ".join(f"{one.error:.2%} in {span(one.seconds)}" for one in costs)
+    print(f"jaxrt: foretold {said}", file=sys.stderr)
+
+
+def span(seconds: float) -> str:
+    """A time in words."""
+    for size, name in ((86400.0, "days"), (3600.0, "h"), (60.0, "min")):
+        if seconds >= 2 * size:
+            return f"{seconds / size:.3g} {name}"
+    return f"{seconds:.2g} s"

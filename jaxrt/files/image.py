@@ -74,9 +74,10 @@ def write_exr(
     stderr: np.ndarray | None = None,
     attributes: Mapping[str, str | float | int] | None = None,
     aovs: Mapping[str, np.ndarray] | None = None,
+    spp: np.ndarray | None = None,
 ) -> None:
     """Write linear radiance (H, W, 1 or 3) as float32 channels R, G, B; its standard error as stderr.R/G/B; of `aovs`,
-    named as in `AOVS`, depth, normal.X, ... (a face's number is exact up to 2²⁴).
+    named as in `AOVS`, depth, normal.X, ... (a face's number is exact up to 2²⁴); samples of each pixel (H, W) as spp.
 
     One channel is written three times, so that every viewer shows it. `attributes` go into the header;
     whole numbers beyond 32 bits as text, for EXR has no others. Raises `SceneError` for another shape,
@@ -96,6 +97,8 @@ def write_exr(
         planes = np.asarray(values, np.float32).reshape(*channels["RGB"].shape[:2], -1)
         planes = np.broadcast_to(planes, (*planes.shape[:2], len(suffixes)))
         channels |= {name + c: np.ascontiguousarray(planes[..., k]) for k, c in enumerate(suffixes)}
+    if spp is not None:
+        channels["spp"] = np.ascontiguousarray(spp, np.uint32)
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
     own = {*header, "channels", "dataWindow", "displayWindow", "lineOrder", "pixelAspectRatio", "version"}
     for key, value in (attributes or {}).items():

@@ -361,8 +361,8 @@ def _error(world: World, stored: Stored, links: Links, seed: Any, depth: int, ch
     count = stored.elements.count
     depths = path.Depths(jnp.int32(depth if depth < 0 else depth - 1), jnp.int32(5), jnp.asarray(False))
     lanes = jnp.asarray(_rows(count)[..., None])
-    probes, samples = _Probes(stored.elements), (jnp.int32(0), jnp.int32(check))
-    sums, _ = path.trace_rows(world, probes, depths, combine(seed, 7), lanes, len(lanes), *samples)
+    first, last = (jnp.full(lanes.shape, k, jnp.int32) for k in (0, check))
+    sums, _ = path.trace_rows(world, _Probes(stored.elements), depths, combine(seed, 7), lanes, first, last, len(lanes))
     sums = sums.reshape(-1, *sums.shape[3:])[:count]  # (E, sets, C)
     sets = sums.shape[1]
     off = sums * (sets / check) - b[:, None]

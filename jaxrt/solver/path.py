@@ -281,7 +281,7 @@ def trace(
     last: Any,
     field: Any = None,
 ) -> tuple[Any, Any]:
-    """Sums of samples first..last−1 of pixels (N, P) by set, (N, P, sets, C), and rays cast, (N,).
+    """Sums of samples first..last−1, numbers or (N, P), of pixels (N, P) by set, (N, P, sets, C), and rays cast, (N,).
 
     A lane takes P pixels one after another: few samples each would end with the longest path of many.
     `begin`: how pixel `number` begins a path, (world, number, stream) -> PathState; whether it `searches` for that.
@@ -291,7 +291,8 @@ def trace(
         begin = Watched(begin)
     (n, pixels), sets = numbers.shape, SETS if field is None else HALVES
     zero = Spectrum.full(world.plan.channels, jnp.zeros(n, world.faces.dtype))
-    sample, none = jnp.full(n, first, jnp.int32), jnp.zeros(n, jnp.int32)
+    first, last = (jnp.broadcast_to(jnp.asarray(a, jnp.int32), numbers.shape) for a in (first, last))
+    sample, none = first[:, 0], jnp.zeros(n, jnp.int32)
     path = jax.vmap(lambda number, i: begin(world, number, sample_stream(seed, number, i, field)))(
         numbers[:, 0], sample
     )
@@ -303,11 +304,14 @@ def trace(
     return sums.reshape(n, pixels, sets, -1), rays
 
 
-def trace_rows(world: World, begin: Any, depths: Depths, seed: Any, rows: Any, count: Any, *rest: Any) -> Any:
-    """`trace` for the first `count` rows of pixels, one after another; `rest`: its arguments after those."""
-    one = lambda numbers: trace(world, begin, depths, seed, numbers, *rest)
-    none = jax.tree.map(lambda a: jnp.zeros((len(rows), *a.shape), a.dtype), jax.eval_shape(one, rows[0]))
-    put = lambda k, done: jax.tree.map(lambda a, b: a.at[k].set(b), done, one(rows[k]))
+def trace_rows(
+    world: World, begin: Any, depths: Depths, seed: Any, rows: Any, first: Any, last: Any, count: Any, field: Any = None
+) -> Any:
+    """`trace` for the first `count` rows of pixels (R, N, P), each with its first and last samples, one by one."""
+    one = lambda numbers, first, last: trace(world, begin, depths, seed, numbers, first, last, field)
+    shape = jax.eval_shape(one, rows[0], first[0], last[0])
+    none = jax.tree.map(lambda a: jnp.zeros((len(rows), *a.shape), a.dtype), shape)
+    put = lambda k, done: jax.tree.map(lambda a, b: a.at[k].set(b), done, one(rows[k], first[k], last[k]))
     return jax.lax.fori_loop(0, count, put, none)
 
 
@@ -315,10 +319,10 @@ def _loop(
     world: World, begin: Any, depths: Depths, seed: Any, numbers: Any, first: Any, last: Any, lanes: Lane, field: Any
 ) -> tuple[Any, Any]:
     pixels = numbers.shape[1]
-    columns = tuple(numbers[:, k] for k in range(pixels))
+    columns = [tuple(a[:, k] for k in range(pixels)) for a in (numbers, first, last)]
 
-    def step(numbers: Any, lane: Lane) -> Lane:
-        number = _number(numbers, lane)
+    def step(numbers: Any, first: Any, last: Any, lane: Lane) -> Lane:
+        number = _of_pixel(numbers, lane.pixel)
         s = bounce_stream(sample_stream(seed, number, lane.sample, field), lane.path.depth)
         if field is None:
             path, cast = bounce(world, depths, lane.path, s), 2 if world.plan.lights else 1
@@ -328,16 +332,19 @@ def _loop(
         return _part(world, path, begin.searches)(_ready)(world, begin, seed, numbers, lane, first, last, field)
 
     lanes = jax.lax.while_loop(
-        lambda lanes: jnp.any(lanes.pixel < pixels), lambda lanes: jax.vmap(step)(columns, lanes), lanes
+        lambda lanes: jnp.any(lanes.pixel < pixels),
+        lambda lanes: jax.vmap(step)(columns[0], columns[1], columns[2], lanes),
+        lanes,
     )
     return jnp.stack([s.array() for s in lanes.sums], 1), lanes.rays
 
 
-def _number(numbers: tuple[Any, ...], lane: Lane) -> Any:
-    number = numbers[0]
-    for k in range(1, len(numbers)):
-        number = jnp.where(lane.pixel == k, numbers[k], number)
-    return number
+def _of_pixel(columns: tuple[Any, ...], pixel: Any) -> Any:
+    """What belongs to the pixel at which a lane works."""
+    found = columns[0]
+    for k in range(1, len(columns)):
+        found = jnp.where(pixel == k, columns[k], found)
+    return found
 
 
 def _ready(world: World, begin: Any, seed: Any, numbers: Any, lane: Lane, first: Any, last: Any, field: Any) -> Lane:
@@ -346,7 +353,7 @@ def _ready(world: World, begin: Any, seed: Any, numbers: Any, lane: Lane, first:
     place = lane.pixel * sets + set_of(lane.sample, field)
     ended = ~path.alive & (lane.pixel < len(numbers))
     ended, radiance = world.settle((ended, path.radiance))
-    number = _number(numbers, lane)
+    number = _of_pixel(numbers, lane.pixel)
     weight = begin.weight(world, number, sample_stream(seed, number, lane.sample, field))
     radiance = radiance if weight is None else radiance * weight
     sums = tuple(
@@ -354,9 +361,10 @@ def _ready(world: World, begin: Any, seed: Any, numbers: Any, lane: Lane, first:
         for k, total in enumerate(lane.sums)
     )
     sample = lane.sample + ended.astype(lane.sample.dtype)
-    full = sample >= last
-    lane = Lane(lane.pixel + full.astype(lane.pixel.dtype), jnp.where(full, first, sample), path, sums, lane.rays)
-    number = _number(numbers, lane)
+    full = sample >= _of_pixel(last, lane.pixel)
+    pixel = lane.pixel + full.astype(lane.pixel.dtype)
+    lane = Lane(pixel, jnp.where(full, _of_pixel(first, pixel), sample), path, sums, lane.rays)
+    number = _of_pixel(numbers, pixel)
     path = where(ended, begin(world, number, sample_stream(seed, number, lane.sample, field)), path)
     o, d = world.settle((path.o, path.d))
     return replace(lane, path=replace(path, o=o, d=d))

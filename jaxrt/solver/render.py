@@ -1,21 +1,18 @@
-"""The host loop around both methods: chunks of pixels over cores, sums in float64, progress."""
+"""Pictures by both methods, with their errors."""
 
 from __future__ import annotations
 
 import dataclasses
-import itertools
-import os
-import threading
 import time
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from typing import Any, Literal, overload
+from concurrent.futures import Executor, ThreadPoolExecutor
+from typing import Any, Literal, NamedTuple, overload
 
 import jax
 import numpy as np
 
 from .. import __version__
-from ..compiler import cores, program, remembered, seconds_spent
+from ..compiler import cores, remembered, seconds_spent
 from ..effects import Plan, fitting
 from ..effects import plan as make_plan
 from ..parts import SceneError
@@ -24,12 +21,16 @@ from ..scene import Scene, in_working_precision
 from ..world import World, prepared
 from . import path
 from .aov import aovs, checked
+from .approach import SOLVED, Approach, approach, costs, timed_field
 from .begin import Picture
 from .choose import choose
-from .field import for_picture
 from .lamps import TAKES, borders
-from .measure import PASS, depths_of, lanes_of, seen_by, view_of
-from .solution import Solution, mean_and_variance, predicted_error, standard_error
+from .measure import depths_of, lanes_of, seen_by, view_of
+from .remainder import Series, series
+from .solution import Solution, solution_of
+from .tally import Tally
+from .tolerance import Forecast, Goal, reach
+from .work import PASS, PIXELS, SAMPLES, Batch, Workers, lanes_for, machine_memory, missing
 
 
 def resized(scene: Scene, sensor: int, width: int, height: int) -> Scene:
@@ -41,52 +42,6 @@ def resized(scene: Scene, sensor: int, width: int, height: int) -> Scene:
     sensors[sensor] = sensors[sensor].sized(width, height)
     sensors[sensor].as_film()  # which says what it cannot be
     return dataclasses.replace(scene, structure=dataclasses.replace(scene.structure, sensors=tuple(sensors)))
-
-
-FEW_SAMPLES, ROWS = 64, 16
-"""Below so many samples a pixel a program takes up to so many rows of lanes: one is done too soon to be called."""
-
-SAMPLES, PIXELS = 32, 8
-"""Samples that a lane should take at least, of so many pixels at most: it ends with the longest of all lanes."""
-
-
-LANE_BYTES = 4096
-"""What a lane holds while it works, at most: its state, and what a bounce computes for it."""
-
-
-def machine_memory() -> int:
-    """Bytes of memory of this machine; 4 GiB where it does not say."""
-    try:
-        return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
-    except (AttributeError, OSError, ValueError):  # not POSIX
-        return 4 << 30
-
-
-def _lanes(film: tuple[int, int, int], threads: int, chunk: int, memory: float) -> int:
-    """Pixels a program: at most `chunk`, small enough that every core gets some and memory suffices; of few sizes."""
-    width, height, channels = film
-    pixels, room = width * height, memory - 4 * 4 * channels * width * height  # picture, error, and both in the file
-    if room < threads * 256 * LANE_BYTES:
-        raise SceneError(
-            f"memory: {memory / 1e6:.0f} MB do not hold a picture of {width}x{height}, "
-            f"which takes {(memory - room) / 1e6 + 1:.0f} MB; give more memory or a smaller size"
-        )
-    size = 256
-    while size < chunk and size * threads < pixels and 2 * size * threads * LANE_BYTES <= room:
-        size *= 2
-    return min(size, chunk)
-
-
-def _tiled(places: np.ndarray, width: int, height: int, side: int = 16) -> np.ndarray:
-    """Pixels (row · width + column) at these places of an order tile by tile.
-
-    A program ends with its longest lane, and the paths of neighbours are alike.
-    """
-    band, within = np.divmod(places.astype(np.int32), np.int32(width * side))
-    rows = np.minimum(side, height - band * side)
-    tile, within = np.divmod(within, rows * side)
-    row, column = np.divmod(within, np.minimum(side, width - tile * side))
-    return (band * side + row) * width + tile * side + column
 
 
 @remembered
@@ -111,6 +66,8 @@ def render(  # pyright: ignore[reportInconsistentOverload]  # options are those 
     spp: int | None = None,
     seed: Any = 0,
     *,
+    rtol: float | None = None,
+    seconds: float | None = None,
     method: Literal["auto", "path", "field"] = "auto",
     max_depth: int | None = None,
     rr_depth: int | None = None,
@@ -120,161 +77,229 @@ def render(  # pyright: ignore[reportInconsistentOverload]  # options are those 
     memory: float | None = None,
     aov: Sequence[str] | None = None,
     progress: Callable[[float], None] | None = None,
+    foretold: Callable[[list[Forecast]], None] | None = None,
 ) -> Solution | list[Solution]:
     """A picture with its standard error; of several sensors a list of them, which look into one field.
 
-    `spp`: samples a pixel, by default what the scene file asks. `method`: path, or field: paths end in a field that is
-    solved first; auto chooses and says why in `stats`. `max_depth` as Mitsuba counts it (1: emission only; −1: no end).
-    `plan`: by default specialised on all values of the scene. `chunk`: pixels in flight a core, by default what is
-    fastest; the same seed, plan and chunk give the same bits, another chunk the same within rounding. `memory`: bytes
-    that picture and pixels in flight may take, by default a quarter of the machine's. `aov`: what `Solution.aovs`
-    is to hold of the first surface that each pixel sees: depth, normal, geo_normal, albedo, uv, position, face, each
-    also under another name as "name:depth"; by default what the scene file asks. `progress`: called with the share
-    done. Raises `SceneError` for wrong arguments.
-    """
-    if method not in ("auto", "path", "field"):
-        raise SceneError(f"method: {method!r} is not known; give auto, path or field")
-    spp = scene.structure.asked().spp if spp is None else spp
-    for name, value in (("spp", spp), ("chunk", 1 if chunk is None else chunk)):
-        if not isinstance(value, (int, np.integer)) or value < 1:
-            raise SceneError(f"{name}: is {value}; give a whole number of at least 1")
-    spp = int(spp)
-    sensors = [sensor] if isinstance(sensor, (int, np.integer)) else list(sensor)
-    views, depths = [_view(scene, k) for k in sensors], depths_of(scene, max_depth, rr_depth)
-    names = checked(scene.structure.asked().aovs if aov is None else aov, views)
-    plan = _specialised(scene) if plan is None else fitting(scene, plan)[1]
-    threads = cores()
-    memory = machine_memory() / 4 if memory is None else memory
-    chunk = lanes_of(plan) if chunk is None else chunk
-    lanes = [_lanes((int(v.width), int(v.height), plan.out_channels), threads, chunk, memory) for v in views]
+    `spp`: samples a pixel, by default what the scene file asks. Or `rtol`: as many as it takes for √relMSE to be below,
+    in 95 of 100 renders; or `seconds`: the best picture in so many, compiling included; of both, what comes first.
+    Samples then go where the error is, see `Solution.error` and `.spp`, and `foretold` is called once with what that
+    tolerance will cost, and half and a tenth of it.
 
-    # Run-time numbers go in as arrays: paths of other sizes, depths and seeds use the same program.
-    depths = path.Depths(np.int32(depths.max_depth), np.int32(depths.rr_depth), np.bool_(depths.hide_emitters))
-    key, spent, began = np.asarray(seed_of(seed)), seconds_spent(), time.perf_counter()
-    world, tables = prepared(scene, plan)
-    depth, paths = int(depths.max_depth), spp * sum(int(v.width) * int(v.height) for v in views)
-    chosen, why = choose(world, tables, depth, paths) if method == "auto" else (method, "asked for")
-    field, said, seconds_solve = None, {}, 0.0
-    with ThreadPoolExecutor(threads) as pool:
-        if chosen == "field":
-            start, before = time.perf_counter(), seconds_spent()
-            field, said = for_picture(world, tables, key, depth, paths, spp, pool)
-            seconds_solve = time.perf_counter() - start - (seconds_spent() - before)
-        found = []
-        for k, (view, n) in enumerate(zip(views, lanes, strict=True)):
-            part = progress and (lambda done, k=k: progress((k + done) / len(views)))
-            tones = scene.structure.sensors[sensors[k]].tones(plan.channels)
-            found.append(_picture(world, view, tones, depths, key, spp, n, field, pool, part))
-            found[-1].aovs = aovs(world, view, key, spp, names, pool)
+    `method`: path, or field: paths end in a field that is solved first; auto chooses and says why in `stats`.
+    `max_depth` as Mitsuba counts it (1: emission only; −1: no end). `plan`: by default specialised on all values of the
+    scene. `chunk`: pixels in flight a core, by default what is fastest; the same seed, plan and chunk give the same
+    bits, another chunk the same within rounding. `memory`: bytes that picture and pixels in flight may take, by default
+    a quarter of the machine's. `aov`: what `Solution.aovs` is to hold of the first surface that each pixel sees:
+    depth, normal, geo_normal, albedo, uv, position, face, each also under another name as "name:depth"; by default what
+    the scene file asks. `progress`: called with the share done. Raises `SceneError` for wrong arguments.
+    """
+    began, spent = time.perf_counter(), seconds_spent()
+    goal = _goal(spp, rtol, seconds)
+    sensors = [sensor] if isinstance(sensor, (int, np.integer)) else list(sensor)
+    spp = scene.structure.asked().spp if spp is None else spp
+    job = _job(scene, spp, seed, method, max_depth, rr_depth, sensors, plan, chunk, memory, goal is not None)
+    names = checked(scene.structure.asked().aovs if aov is None else aov, job.views)
+    with ThreadPoolExecutor(cores()) as pool:
+        way = job.fixed(pool) if goal is None else job.approach(pool, goal, max_depth is None)
+        if foretold and goal is not None and goal.error > 0:
+            foretold(costs(way, goal.error))
+        found, seconds_solve = [], way.said.pop("seconds_solve", 0.0)
+        for k, workers in enumerate(way.workers):
+            tell = progress and (lambda done, k=k: progress((k + done) / len(way.workers)))
+            if goal is None:
+                tally = job.take(workers, tell)
+            else:
+                rest = (goal.left - job.finishing) / (len(way.workers) - k)
+                share = Goal(way.samples_error(goal.error, k), time.perf_counter() + rest)
+                tally = reach(workers, share, way.pilots[k], tell)
+            sol = solution_of(tally, workers.size, job.plan.out_channels if workers.tones is None else 1)
+            if goal is not None:
+                sol.error = way.whole_error(sol.error, k)
+            sol.aovs = aovs(job.world, workers.view, job.key, max(int(sol.spp.mean()), 1), names, pool)
             now, made = time.perf_counter(), seconds_spent() - spent
-            run = now - began - made - seconds_solve
-            found[-1].stats |= {"seconds_compile": made, "seconds_solve": seconds_solve, "seconds_run": run}
+            sol.stats |= {
+                "spp": job.spp if goal is None else round(float(sol.spp.mean()), 1),
+                "max_depth": int(workers.args[2].max_depth),
+                "threads": cores(),
+                "seconds_compile": made,
+                "seconds_solve": seconds_solve,
+                "seconds_run": now - began - made - seconds_solve,
+                "method": way.method,
+                "why": way.why,
+                "bounces": job.bounces(way),
+                **way.said,
+            }
             spent, began, seconds_solve = spent + made, now, 0.0
-    for sol in found:
-        sol.stats |= {"method": chosen, "why": why, **said}
-        sol.failed |= "unsolved" in said
-        sol.header = {
-            "version": __version__,
-            "scene": scene.structure.source,
-            "plan": sorted(plan.effects),
-            "seed": int(seed) if isinstance(seed, (int, np.integer)) else f"key {int(key)}",
-            "method": chosen,
-            "samples": spp,
-            "max_depth": sol.stats["max_depth"],
-            "seconds": sum(sol.stats[f"seconds_{part}"] for part in ("compile", "solve", "run")),
-        }
+            sol.failed = "unsolved" in way.said or (goal is not None and _missed(sol, rtol, seconds))
+            sol.header = {
+                "version": __version__,
+                "scene": scene.structure.source,
+                "plan": sorted(job.plan.effects),
+                "seed": int(seed) if isinstance(seed, (int, np.integer)) else f"key {int(job.key)}",
+                "method": way.method,
+                "samples": sol.stats["spp"],
+                "rtol": rtol,
+                "max_depth": sol.stats["max_depth"],
+                "seconds": sum(sol.stats[f"seconds_{part}"] for part in ("compile", "solve", "run")),
+            }
+            found.append(sol)
     return found[0] if isinstance(sensor, (int, np.integer)) else found
 
 
-def _picture(
-    world: World, view: Picture, tones: np.ndarray | None, depths: path.Depths, key: Any, spp: int, lanes: int,
-    field: Any, pool: ThreadPoolExecutor, progress: Callable[[float], None] | None,
-) -> Solution:  # fmt: skip
-    """The picture of one view, block by block of pixels on the threads of `pool`."""
-    plan, threads = world.plan, cores()
-    width, height = int(view.width), int(view.height)
-    n = width * height
-    # Pixels of a lane, and rows of lanes of a program: neither is to end too soon, nor one thread before the others.
-    pixels = min(PIXELS, 1 << max(0, (SAMPLES // spp).bit_length() - 1))
-    while pixels > 1 and n < pixels * lanes * threads * 4:
-        pixels //= 2
-    depths = seen_by(view, depths)
-    edges = np.zeros(0, np.int32) if depths.hide_emitters else borders(world, view)
-    again = (edges + np.arange(1, TAKES + 1, dtype=np.int32)[:, None] * np.int32(n)).ravel()
-    total, size = n + len(again), lanes * pixels
-    rows = -(-total // size)
-    blocks = max(2 * threads, -(-rows // (ROWS if spp < FEW_SAMPLES else 1)))
-    starts = np.linspace(0, rows, min(rows, -(-blocks // threads) * threads) + 1).astype(int)
-    blocks = len(starts) - 1
+class Prospect(NamedTuple):
+    """What a tolerance, half and a tenth of it will cost; by which method and why; and how many bounces that takes."""
 
-    def pixels_of(row: int, stop: int) -> np.ndarray:
-        """Numbers of pixels in rows of lanes; from n on, pixel `number % n` with samples of its own."""
-        at = np.arange(row * size, stop * size) % total
-        numbers = _tiled(np.minimum(at, n - 1), width, height)
-        return np.where(at < n, numbers, again[np.maximum(at - n, 0)]) if len(again) else numbers
+    costs: list[Forecast]
+    method: str
+    why: str
+    bounces: str
 
-    def in_rows(numbers: np.ndarray) -> np.ndarray:
-        rows = numbers.reshape(-1, pixels, lanes).swapaxes(1, 2)
-        return np.concatenate([rows, np.zeros((ROWS - len(rows), *rows.shape[1:]), rows.dtype)])
 
-    args = world, view, depths, key
-    run = program(path.trace_rows, *args, in_rows(pixels_of(0, 1)), np.int32(1), np.int32(0), np.int32(1), field)
+def forecast(scene: Scene, rtol: float, seed: Any = 0, *, sensor: int = 0, **options: Any) -> Prospect:
+    """What a tolerance will cost, from a pilot; seconds of a first render, compiling left out.
 
-    passes = [(a, min(a + PASS, spp)) for a in range(0, spp, PASS)]
-    sets = path.SETS if field is None else path.HALVES
-    counts = np.bincount(path.set_of(np.arange(spp), field), minlength=sets)
-    channels, wide = (plan.channels, plan.out_channels) if tones is None else (1, 1)
-    image, variance = (np.empty((n, channels), np.float32) for _ in range(2))
-    sums_again = np.empty((sets, len(again), channels))
-    rays = np.zeros(blocks, np.int64)
-    done = itertools.count(1)
-    stop_asked = threading.Event()
+    `options`: method, max_depth, rr_depth, plan, chunk, memory as of `render`.
+    """
+    goal = _goal(None, rtol, None)
+    assert goal is not None
+    given = _OPTIONS | options
+    with ThreadPoolExecutor(cores()) as pool:
+        job = _job(scene, 1, seed, **given, sensors=[sensor], exact=True)
+        way = job.approach(pool, goal, given["max_depth"] is None)
+        spent = sum((p.even.samples + p.tally.samples) * p.rate for p in way.pilots)
+        told = [one._replace(seconds=one.seconds + spent) for one in costs(way, rtol)]
+        return Prospect(told, way.method, way.why, job.bounces(way))
 
-    def work(block: int) -> None:
-        """All samples of a block of pixels, in order, so that sums do not depend on which thread was faster."""
-        row, stop = (int(k) for k in starts[block : block + 2])
-        numbers, first_of, used = pixels_of(row, stop), row * size, min(stop * size, total) - row * size
-        sums, lanes_of_block = np.zeros(()), in_rows(numbers)
-        for first, last in passes:
-            if stop_asked.is_set():
-                return
-            counted = np.int32(stop - row), np.int32(first), np.int32(last)
-            values, cast = run(*args, lanes_of_block, *counted, field)
-            values = np.asarray(values)[: stop - row].transpose(3, 0, 2, 1, 4).reshape(sets, len(numbers), -1)[:, :used]
-            values = values if tones is None else values @ tones
-            sums = values if len(passes) == 1 else sums + values.astype(np.float64)
-            cast = np.asarray(cast, np.int64).reshape(-1)
-            rays[block] += int(cast[:used].sum() if pixels == 1 else cast.sum() * used // ((stop - row) * size))
-            if progress:
-                progress(next(done) / (blocks * len(passes)))
-        own = min(used, max(0, n - first_of))
-        image[numbers[:own]], variance[numbers[:own]] = mean_and_variance(sums[:, :own], counts)
-        sums_again[:, first_of + own - n : first_of + used - n] = sums[:, own:]
 
-    if progress:
-        progress(0.0)
-    try:
-        list(pool.map(work, range(blocks)))
-    except BaseException:
-        stop_asked.set()  # an interrupt waits for one pass, not for the picture
-        raise
-    sums_again = sums_again.reshape(sets, TAKES, len(edges), channels).sum(1)
-    image[edges], variance[edges] = mean_and_variance(sums_again, counts * TAKES)
+_OPTIONS: dict[str, Any] = {
+    "method": "auto", "max_depth": None, "rr_depth": None, "plan": None, "chunk": None, "memory": None
+}  # fmt: skip
 
-    shape = (height, width, wide)
-    image, variance = (a.reshape(height, width, -1) for a in (image, variance))
-    known = np.count_nonzero(counts) > 1  # one sample alone says nothing of its error
-    error = predicted_error(image, variance) if known else float("nan")
-    stderr = standard_error(variance) if known else variance
-    stats = {
-        "samples": total * spp,
-        "lamp_pixels": len(edges),
-        "spp": spp,
-        "rays": int(rays.sum()),
-        "iterations": blocks * len(passes),
-        "max_depth": int(depths.max_depth),
-        "threads": threads,
-        "nonfinite": int((~np.isfinite(image)).sum()),
-    }
-    full = lambda a: a if a.shape == shape else np.repeat(a, shape[2], 2)
-    return Solution(full(image), full(stderr), stats, error)
+
+def _goal(spp: Any, rtol: Any, seconds: Any) -> Goal | None:
+    """What is to be reached, None for a number of samples."""
+    for name, value in (("rtol", rtol), ("seconds", seconds)):
+        if value is None:
+            continue
+        if spp is not None:
+            raise SceneError(f"{name}: is given beside spp; give one of them")
+        if not isinstance(value, (int, float, np.integer, np.floating)) or not 0 < value < np.inf:
+            raise SceneError(f"{name}: is {value}; give a positive number")
+    if rtol is None and seconds is None:
+        return None
+    return Goal(rtol or 0.0, np.inf if seconds is None else time.perf_counter() + seconds)
+
+
+def _missed(sol: Solution, rtol: float | None, seconds: float | None) -> bool:
+    """Whether a tolerance was asked and not reached, which in a limited time is no failure."""
+    return seconds is None and rtol is not None and not sol.error.claim <= rtol * 1.0001
+
+
+class _Job(NamedTuple):
+    """What is to be sampled, checked and prepared."""
+
+    world: World
+    tables: Scene
+    plan: Plan
+    views: list[Picture]
+    tones: list[np.ndarray | None]
+    lanes: list[int]
+    depths: path.Depths
+    key: Any
+    spp: int
+    method: str
+
+    @property
+    def paths(self) -> int:
+        return self.spp * sum(int(v.width) * int(v.height) for v in self.views)
+
+    @property
+    def finishing(self) -> float:
+        """Seconds it takes about to make pictures and their errors of sums, and files of these."""
+        return 0.02 + 4e-7 * self.paths / self.spp * self.plan.out_channels
+
+    def workers(self, k: int, field: Any, pool: Executor, pixels: int = 1, series: Series | None = None) -> Workers:
+        """Those of view k. `series`: where paths may end."""
+        view, depths = self.views[k], self.depths
+        if series is not None and field is None:
+            depths = dataclasses.replace(depths, max_depth=np.int32(series.max_depth))
+        depths = seen_by(view, depths)
+        return Workers(self.world, view, depths, field, pool, self.lanes[k], pixels, self.tones[k])
+
+    def fixed(self, pool: Executor) -> Approach:
+        """The method for so many samples a pixel."""
+        depth, method, why = int(self.depths.max_depth), self.method, "asked for"
+        if method == "auto":
+            method, why = choose(self.world, self.tables, depth, self.paths)
+        field, said = None, {}
+        if method == "field":
+            field, said = timed_field(self.world, self.tables, self.key, depth, self.paths, self.spp, pool)
+        # Pixels of a lane: it is not to end too soon, nor one thread before the others.
+        workers = []
+        for k, (view, lanes) in enumerate(zip(self.views, self.lanes, strict=True)):
+            pixels = min(PIXELS, 1 << max(0, (SAMPLES // self.spp).bit_length() - 1))
+            while pixels > 1 and int(view.width) * int(view.height) < pixels * lanes * cores() * 4:
+                pixels //= 2
+            workers.append(self.workers(k, field, pool, pixels))
+        return Approach(method, why, workers, [], [], said)
+
+    def approach(self, pool: Executor, goal: Goal, ends: bool) -> Approach:
+        """The method for a tolerance or a time. `ends`: whether paths without end may be cut where it allows that."""
+        cut = None
+        if ends and goal.error > 0 and int(self.depths.max_depth) < 0 and self.method != "field":
+            cut = series(self.workers(0, None, pool), self.world, self.tables, self.key, goal.error)
+        workers = lambda k, field: self.workers(k, field, pool, series=cut)
+        return approach(
+            self.world, self.tables, self.depths, self.key, goal, self.method, pool, len(self.views), workers, cut
+        )
+
+    def bounces(self, way: Approach) -> str:
+        """How many bounces are followed, and why."""
+        depth = int(self.depths.max_depth)
+        if depth >= 0:
+            return f"paths of at most {depth} edges: the scene asks for so many, or you do"
+        if way.method == "field":
+            return f"all bounces: the fixed point, solved to {SOLVED:.1%}"
+        if way.cut is None:
+            return "paths without end, by roulette"
+        return f"paths of at most {way.cut.max_depth} edges leave out {way.cut.remainder:.2%} ({way.cut.why})"
+
+    def take(self, workers: Workers, tell: Callable[[float], None] | None) -> Tally:
+        """So many samples of each pixel, and several times as many where the border of a lamp goes through it."""
+        n, spp = workers.n, self.spp
+        hide = bool(seen_by(workers.view, self.depths).hide_emitters)
+        edges = np.zeros(0, np.int32) if hide else borders(self.world, workers.view)
+        tally = workers.tally(self.key, exact=spp > PASS)
+        work = [Batch(n, first, min(first + PASS, spp)) for first in range(0, spp, PASS)]
+        if len(edges):
+            have = np.full(n, spp, np.int32)
+            want = have.copy()
+            want[edges] *= TAKES
+            work.append(missing(have, want, edges, min(spp, PASS)))
+        if tell:
+            tell(0.0)
+        workers.take(tally, work, tell=tell)
+        return tally
+
+
+def _job(
+    scene: Scene, spp: Any, seed: Any, method: str, max_depth: int | None, rr_depth: int | None, sensors: list[int],
+    plan: Plan | None, chunk: int | None, memory: float | None, exact: bool,
+) -> _Job:  # fmt: skip
+    if method not in ("auto", "path", "field"):
+        raise SceneError(f"method: {method!r} is not known; give auto, path or field")
+    for name, value in (("spp", spp), ("chunk", 1 if chunk is None else chunk)):
+        if not isinstance(value, (int, np.integer)) or value < 1:
+            raise SceneError(f"{name}: is {value}; give a whole number of at least 1")
+    views, depths = [_view(scene, k) for k in sensors], depths_of(scene, max_depth, rr_depth)
+    plan = _specialised(scene) if plan is None else fitting(scene, plan)[1]
+    memory = machine_memory() / 4 if memory is None else memory
+    chunk = lanes_of(plan) if chunk is None else chunk
+    size = lambda view: (int(view.width), int(view.height), plan.out_channels)
+    lanes = [lanes_for(size(view), cores(), chunk, memory, exact or spp > PASS) for view in views]
+    tones = [scene.structure.sensors[k].tones(plan.channels) for k in sensors]
+    # Run-time numbers go in as arrays: paths of other sizes, depths and seeds use the same program.
+    depths = path.Depths(np.int32(depths.max_depth), np.int32(depths.rr_depth), np.bool_(depths.hide_emitters))
+    world, tables = prepared(scene, plan)
+    return _Job(world, tables, plan, views, tones, lanes, depths, np.asarray(seed_of(seed)), int(spp), method)
