@@ -25,8 +25,8 @@ from .edges import Edges
 from .visibility import Mirror, along, choose, follow, owned, zero_valued
 
 ASIDE, NEAR = 0.01, 2e-5
-"""How far beside an edge to look, in pixels; and beside outlines of curved faces at most, in widths of the picture: light
-from a sphere differs from that at its outline by the square root of this (.01 of 16 pixels: 3 % of a derivative)."""
+"""How far beside an edge to look, in pixels; and beside curved ones at most, in widths of the picture: light
+from a sphere differs from that at its outline by the square root of this (by .01 of 16 pixels: 3 % of a derivative)."""
 
 LANES = 4096
 
