@@ -284,12 +284,14 @@ class Arc(eqx.Module):
 
     def towards(self, cone: Cone) -> tuple[Any, Any]:
         """The range of φ inside a cone; empty: low ≥ high."""
-        low, high = self._towards(cone)
         if cone.outline is None:
-            return low, high
+            return self._towards(cone)
         a, b = cone.outline.cut(self)
-        flat = cone.outline.flat
-        return jnp.where(flat, jnp.maximum(a, -self.half), low), jnp.where(flat, jnp.minimum(b, self.half), high)
+        a, b, flat = jnp.maximum(a, -self.half), jnp.minimum(b, self.half), cone.outline.flat
+        if flat is None:
+            return a, b
+        low, high = self._towards(cone)
+        return jnp.where(flat, a, low), jnp.where(flat, b, high)
 
     def _towards(self, cone: Cone) -> tuple[Any, Any]:
         c, s = dot(cone.axis, self.middle), dot(cone.axis, self.along)

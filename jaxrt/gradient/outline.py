@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import equinox as eqx
@@ -14,22 +14,27 @@ from ..vector import Vec3, dot, where
 from ..world import World
 from .curves import corners
 
+FLAT = {"triangle", "parallelogram"}
+
 
 class Outline(eqx.Module):
     """Triangles and parallelograms as seen from a point: their corners, less that point, in order; of other faces
-    (`flat` is false) the cone around them has to do."""
+    (`flat` is false; of None all are) the cone around them has to do."""
 
     corners: tuple[Vec3, Vec3, Vec3, Vec3]
     flat: Any
 
     @classmethod
-    def of(cls, world: World, face: Any, x: Vec3, image: Callable[[Vec3], Vec3] | None = None) -> Outline:
-        """Of a face, or of its image in a mirror."""
+    def of(
+        cls, world: World, face: Any, x: Vec3, kinds: Iterable[str], image: Callable[[Vec3], Vec3] | None = None
+    ) -> Outline:
+        """Of a face, or of its image in a mirror; `kinds`: those that it may be of."""
         o, a, b = corners(world, face)
         four, last = face >= world.first("parallelogram"), o + b
         at = o, o + a, where(four, last + a, last), last
         first, second, third, fourth = (sg(p if image is None else image(p)) - x for p in at)
-        return cls((first, second, third, fourth), (face >= 0) & (face < world.first("disk")))
+        flat = (face >= 0) & (face < world.first("disk")) if set(kinds) - FLAT else None
+        return cls((first, second, third, fourth), flat)
 
     def cut(self, arc: Any) -> tuple[Any, Any]:
         """The range of φ in which the great circle of an arc lies inside, from the arc's middle; empty: low > high."""

@@ -36,7 +36,7 @@ from ..world import FEW_LIGHTS, World
 from . import curves, material
 from . import edges as edge
 from .edges import Edges
-from .outline import Outline
+from .outline import FLAT, Outline
 
 CANDIDATES = 128
 """Edges that one point chooses from; of more, this many drawn by length."""
@@ -300,7 +300,7 @@ class Mirror(eqx.Module):
         sine = radius / jnp.maximum(length(to), 1e-30)
         ok = chance[face] > 0
         weight = jnp.where(ok, 1.0 / jnp.where(ok, chance[face], 1.0), 0.0)
-        cone = edge.Cone(normalise(to), sine, Outline.of(world, face, x))
+        cone = edge.Cone(normalise(to), sine, Outline.of(world, face, x, world.plan.kinds))
         return cls(face, edge.Plane.of(world, face), cone, weight)
 
     def behind(self, world: World, w: Vec3, at: Met) -> Met:
@@ -328,10 +328,9 @@ def lamp_cone(world: World, k: Any, x: Vec3, plane: edge.Plane | None = None) ->
     """What lamp number k, or its image in a mirror, takes of the directions from x; where there are many, all lamps."""
     bounds, plan, outline = world.light_bounds, world.plan, None
     apart = bounds.shape[0] > 1 or world.light_rows.shape[0] <= FEW_LIGHTS
-    if apart and {"triangle", "parallelogram"} & set(plan.light_kinds):
-        outline = Outline.of(
-            world, world.light_rows[k, 14 + plan.channels].astype(jnp.int32), x, None if plane is None else plane.image
-        )
+    if apart and FLAT & set(plan.light_kinds):
+        face, image = world.light_rows[k, 14 + plan.channels].astype(jnp.int32), None if plane is None else plane.image
+        outline = Outline.of(world, face, x, plan.light_kinds, image)
     return edge.Cone.around(bounds[k], x, plane, outline)
 
 

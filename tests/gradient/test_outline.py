@@ -29,7 +29,7 @@ def test_the_part_of_an_edge_before_a_face(kind):
 
     def one(p, q, shares):
         arc = arc_of((Vec3(*p), Vec3(*q)), x, None)
-        low, high = arc.towards(Cone(cone.axis, cone.sine, Outline.of(world, number, x)))
+        low, high = arc.towards(Cone(cone.axis, cone.sine, Outline.of(world, number, x, world.plan.kinds)))
         phi = arc.half * (2 * shares - 1)
         hit = jax.vmap(lambda phi: world.search.closest(x, arc.direction(phi)) == number)(phi)
         near = jnp.minimum(jnp.abs(phi - low), jnp.abs(phi - high)) < 1e-3
