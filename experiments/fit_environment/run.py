@@ -60,7 +60,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--quick", action="store_true", help="a coarser sky and fewer steps: under a minute")
     args = parser.parse_args()
-    height, side, steps, reference = (6, 24, 100, 1024) if args.quick else (16, 64, 200, 2048)
+    height, side, steps, reference = (6, 32, 150, 1024) if args.quick else (16, 64, 200, 2048)
     truth = sky(height)
     even = np.full_like(truth, truth.mean())
     target = jaxrt.render(balls(truth, side), spp=reference, seed=SEED + 1, method="path").image

@@ -48,7 +48,7 @@ def room(side: int) -> jaxrt.Scene:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("--quick", action="store_true", help="fewer samples and steps: under a minute")
+    parser.add_argument("--quick", action="store_true", help="fewer samples and steps")
     args = parser.parse_args()
     side, spp, steps, reference = (24, 64, 6, 2048) if args.quick else (24, 256, 10, 8192)
     scene = room(side)

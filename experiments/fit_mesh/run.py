@@ -62,7 +62,7 @@ def main() -> None:
         "--quick", action="store_true", help="smaller pictures, fewer triangles, views and steps: under a minute"
     )
     args = parser.parse_args()
-    level, side, views, steps, spp, reference = (2, 20, 4, 25, 8, 256) if args.quick else (3, 32, 6, 60, 8, 1024)
+    level, side, views, steps, spp, reference = (2, 24, 4, 35, 8, 512) if args.quick else (3, 32, 6, 60, 8, 1024)
     shape = blob(level + 1)
     surface = trimesh.Trimesh(*shape, process=False)
     scene = room(*shape, side, views)
