@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from typing import Any
 
 import equinox as eqx
@@ -25,14 +25,12 @@ class Outline(eqx.Module):
     flat: Any
 
     @classmethod
-    def of(
-        cls, world: World, face: Any, x: Vec3, kinds: Iterable[str], image: Callable[[Vec3], Vec3] | None = None
-    ) -> Outline:
-        """Of a face, or of its image in a mirror; `kinds`: those that it may be of."""
+    def of(cls, world: World, face: Any, x: Vec3, kinds: Iterable[str]) -> Outline:
+        """Of a face; `kinds`: those that it may be of."""
         o, a, b = corners(world, face)
         four, last = face >= world.first("parallelogram"), o + b
         at = o, o + a, where(four, last + a, last), last
-        first, second, third, fourth = (sg(p if image is None else image(p)) - x for p in at)
+        first, second, third, fourth = (sg(p) - x for p in at)
         flat = (face >= 0) & (face < world.first("disk")) if set(kinds) - FLAT else None
         return cls((first, second, third, fourth), flat)
 

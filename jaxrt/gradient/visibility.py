@@ -324,14 +324,14 @@ def zero_valued(coefficient: Spectrum, position: Any) -> Spectrum:
     return coefficient.map(lambda c: sg(jnp.where(jnp.isfinite(c), c, 0.0)) * moved)
 
 
-def lamp_cone(world: World, k: Any, x: Vec3, plane: edge.Plane | None = None) -> edge.Cone:
-    """What lamp number k, or its image in a mirror, takes of the directions from x; where there are many, all lamps."""
+def lamp_cone(world: World, k: Any, x: Vec3) -> edge.Cone:
+    """What lamp number k takes of the directions from x, but for its own outline; where there are many, all lamps."""
     bounds, plan, outline = world.light_bounds, world.plan, None
     apart = bounds.shape[0] > 1 or world.light_rows.shape[0] <= FEW_LIGHTS
     if apart and FLAT & set(plan.light_kinds):
-        face, image = world.light_rows[k, 14 + plan.channels].astype(jnp.int32), None if plane is None else plane.image
-        outline = Outline.of(world, face, x, plan.light_kinds, image)
-    return edge.Cone.around(bounds[k], x, plane, outline)
+        face = world.light_rows[k, 14 + plan.channels].astype(jnp.int32)
+        outline = Outline.of(world, face, x, plan.light_kinds)
+    return edge.Cone.around(bounds[k], x, None, outline)
 
 
 def shadows(world: World, edges: Edges, seen: Seen, value: Any, s: Stream) -> Spectrum:
@@ -381,7 +381,7 @@ def outlines(
         if plan.light_kinds:  # a lamp's image is as bright as the lamp
             bounds = fixed.light_bounds
             k = jnp.minimum((s.pair_at(2)[0] * bounds.shape[0]).astype(int), bounds.shape[0] - 1)
-            lamp = lamp_cone(fixed, k, x, mirror.plane)
+            lamp = edge.Cone.around(bounds[k], x, mirror.plane)  # not only inside: its own outline matters here
         kinds.append((choose(fixed, edges, x, n, s, toward=lamp), None))
         kinds.append((choose(fixed, edges, x, n, s.child(1), mirror.cone, mirror.plane, toward=lamp), mirror))
 
