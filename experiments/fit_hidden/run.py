@@ -48,9 +48,9 @@ def room(side: int) -> jaxrt.Scene:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("--quick", action="store_true", help="fewer samples")
+    parser.add_argument("--quick", action="store_true", help="fewer samples and steps")
     args = parser.parse_args()
-    side, spp, reference = (24, 64, 4096) if args.quick else (24, 256, 8192)
+    side, spp, steps, reference = (24, 64, 6, 2048) if args.quick else (24, 256, 10, 8192)
     scene = room(side)
     picture = lambda s, depth, n: jaxrt.render(s, spp=n, seed=SEED + 1, method="path", max_depth=depth).image
     truth = np.asarray(jaxrt.params(scene)[NAME])
@@ -59,7 +59,7 @@ def main() -> None:
     target = picture(scene, DEPTH, reference)
     fit = jaxrt.fit(
         start, target, {NAME: jaxrt.Shift(DIRECTIONS)}, loss="multiscale", optimiser=fits.gauss_newton(),
-        spp=spp, seed=SEED, max_depth=DEPTH, steps=10,
+        spp=spp, seed=SEED, max_depth=DEPTH, steps=steps,
     )  # fmt: skip
 
     far = lambda place: float(np.linalg.norm(np.asarray(place)[:3, 3] - truth[:3, 3]))
@@ -72,7 +72,7 @@ def main() -> None:
         "standard errors of the position": np.asarray(fit.stderr[NAME])[:3, 3].tolist(),
     }  # fmt: skip
     curves = {"loss": (seconds, fit.history["loss"]), "distance": (seconds, off)}
-    way = fits.on_the_way(start, fit, 2048, max_depth=DEPTH)
+    way = fits.on_the_way(start, fit, reference // 4, max_depth=DEPTH)
     shown: dict[str, Any] = {title: 0.5 + 10 * (image - target) for title, image in way.items()}
     fits.write(HERE, "fit_hidden", SEED, numbers, curves, {"target": target} | shown)
     print(

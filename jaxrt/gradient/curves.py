@@ -39,7 +39,8 @@ def listed(blocks: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray, tuple[str, 
     return join(kinds), join(faces), tuple(names)
 
 
-def _face(world: World, face: Any) -> tuple[Vec3, Vec3, Vec3]:
+def corners(world: World, face: Any) -> tuple[Vec3, Vec3, Vec3]:
+    """Origin, e₁ and e₂ of a face, attached."""
     row = world.geometry.at[face].get(mode="clip", wrap_negative_indices=False)
     return tuple(Vec3(row[k], row[k + 1], row[k + 2]) for k in (0, 3, 6))  # pyright: ignore[reportReturnType]
 
@@ -53,7 +54,7 @@ def point(world: World, face: Any, name: str, x: Vec3, u: Any) -> tuple[Vec3, Ve
 
     Where there is no such curve dy/du is 0.
     """
-    o, a, b = _face(world, face)
+    o, a, b = corners(world, face)
     x, c, s = sg(x), *_turn(u)
     if name == "rim":
         return o + a * c + b * s, sg(b * c - a * s) * (2 * np.pi), sg(o)

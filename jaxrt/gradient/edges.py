@@ -21,6 +21,7 @@ from ..scene import Scene
 from ..vector import Vec3, cross, dot, length, normalise, safe_sqrt, where
 from ..world import World
 from . import curves, cuts
+from .outline import Outline
 
 CORNERS = {"triangle": ((0, 0), (1, 0), (0, 1)), "parallelogram": ((0, 0), (1, 0), (1, 1), (0, 1))}
 """Coordinates of a face's corners, in order."""
@@ -85,11 +86,11 @@ class Edges(eqx.Module):
         y = None
         if len(self.faces):
             uv, faces = self.uv.at[j].get(mode="clip"), self.faces.at[j].get(mode="clip")
-            o, a, b = face = corners(world, faces[0])
+            o, a, b = face = curves.corners(world, faces[0])
             y = o + a * (uv[0] + (uv[2] - uv[0]) * t) + b * (uv[1] + (uv[3] - uv[1]) * t)
             if self.cuts:
                 cut = (j >= len(self.faces) - self.cuts) & (j < len(self.faces))
-                y = where(cut, cuts.attach(face, corners(world, faces[1]), y), y)
+                y = where(cut, cuts.attach(face, curves.corners(world, faces[1]), y), y)
         if not self.curved:
             assert y is not None
             return y
@@ -219,17 +220,19 @@ def _mirrors(scene: Scene, world: World) -> Any:
 
 
 class Cone(eqx.Module):
-    """Directions about a unit axis, by the sine of the half angle; of sine 1 or more: all."""
+    """Directions about a unit axis, by the sine of the half angle; of sine 1 or more: all. `outline`: if those of a
+    face are meant, and for straight edges these alone."""
 
     axis: Vec3
     sine: Any
+    outline: Outline | None = None
 
     @classmethod
-    def around(cls, ball: Any, x: Vec3, plane: Plane | None = None) -> Cone:
+    def around(cls, ball: Any, x: Vec3, plane: Plane | None = None, outline: Outline | None = None) -> Cone:
         """What a ball (centre, radius), or its image in a mirror, takes of the directions from x, and hardly more."""
         centre = Vec3(ball[0], ball[1], ball[2])
         to = (centre if plane is None else plane.image(centre)) - x
-        return cls(normalise(to), ball[3] / jnp.maximum(length(to), 1e-30) * 1.0005 + 1e-6)
+        return cls(normalise(to), ball[3] / jnp.maximum(length(to), 1e-30) * 1.0005 + 1e-6, outline)
 
 
 class Plane(eqx.Module):
@@ -240,18 +243,12 @@ class Plane(eqx.Module):
 
     @classmethod
     def of(cls, world: World, face: Any) -> Plane:
-        o, a, b = corners(world, face)
+        o, a, b = curves.corners(world, face)
         return cls(o, normalise(cross(a, b)))
 
     def image(self, p: Vec3) -> Vec3:
         """Where a point is seen in the mirror."""
         return p - self.n * (2.0 * dot(self.n, p - self.o))
-
-
-def corners(world: World, face: Any) -> tuple[Vec3, Vec3, Vec3]:
-    """Origin, e₁ and e₂ of a face, attached."""
-    row = world.geometry.at[face].get(mode="clip", wrap_negative_indices=False)
-    return Vec3(row[0], row[1], row[2]), Vec3(row[3], row[4], row[5]), Vec3(row[6], row[7], row[8])
 
 
 def two_points(row: Any, plane: Plane | None = None) -> tuple[Vec3, Vec3]:
@@ -287,6 +284,16 @@ class Arc(eqx.Module):
 
     def towards(self, cone: Cone) -> tuple[Any, Any]:
         """The range of φ inside a cone; empty: low ≥ high."""
+        if cone.outline is None:
+            return self._towards(cone)
+        a, b = cone.outline.cut(self)
+        a, b, flat = jnp.maximum(a, -self.half), jnp.minimum(b, self.half), cone.outline.flat
+        if flat is None:
+            return a, b
+        low, high = self._towards(cone)
+        return jnp.where(flat, a, low), jnp.where(flat, b, high)
+
+    def _towards(self, cone: Cone) -> tuple[Any, Any]:
         c, s = dot(cone.axis, self.middle), dot(cone.axis, self.along)
         reach = safe_sqrt(c * c + s * s)
         cos = safe_sqrt(1.0 - cone.sine * cone.sine) / jnp.maximum(reach, 1e-12)

@@ -24,8 +24,9 @@ from . import edges as edge
 from .edges import Edges
 from .visibility import Mirror, along, choose, follow, owned, zero_valued
 
-ASIDE = 0.01
-"""How far beside an edge to look, in pixels."""
+ASIDE, NEAR = 0.01, 2e-5
+"""How far beside an edge to look, in pixels; and beside curved ones at most, in widths of the picture: light
+from a sphere differs from that at its outline by the square root of this (by .01 of 16 pixels: 3 % of a derivative)."""
 
 LANES = 4096
 
@@ -43,7 +44,8 @@ class OnFilm(eqx.Module):
 
     @classmethod
     def of(cls, view: Any, edges: Edges) -> OnFilm:
-        to_local, margin = jnp.linalg.inv(view.to_world), view.sensor.film[3]
+        to_local, filter_ = jnp.linalg.inv(view.to_world), film.Filter(*view.sensor.film[2:])
+        margin = filter_.radius if filter_.border else 0.0
         at = lambda p: camera.position(view.sensor, to_local, view.lens, view.window, p, None)
         near, eye = jnp.maximum(view.lens[1], 1e-6), Vec3(*(view.to_world[k, 3] for k in range(3)))
 
@@ -107,8 +109,10 @@ def _beside(
     `mirror`: nothing, or a mirror and whether it is meant. `further`: as of `follow`.
     """
 
+    far = jnp.where(j >= len(edges.ends), jnp.minimum(ASIDE, NEAR * jnp.maximum(view.width, view.height)), ASIDE)
+
     def one(side: Any) -> Any:
-        at = q[0] + ASIDE * side * n[0], q[1] + ASIDE * side * n[1]
+        at = q[0] + far * side * n[0], q[1] + far * side * n[1]
         o, d = camera.ray(view.sensor, view.to_world, view.lens, view.window, at, lens)
         y, light = follow(world, depths, o, d, s, jnp.int32(0), further, True)
         return y if mirror is None else where(mirror[1], mirror[0].behind(world, d, y), y), light

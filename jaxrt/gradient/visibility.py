@@ -32,10 +32,11 @@ from ..sampling.sobol import Stream, combine
 from ..solver import path
 from ..surface import SurfacePoint, choice, leave, radiance_of, shading_at, surface_point
 from ..vector import Spectrum, Vec3, cross, dot, length, normalise, where
-from ..world import World
+from ..world import FEW_LIGHTS, World
 from . import curves, material
 from . import edges as edge
 from .edges import Edges
+from .outline import FLAT, Outline
 
 CANDIDATES = 128
 """Edges that one point chooses from; of more, this many drawn by length."""
@@ -291,7 +292,7 @@ class Mirror(eqx.Module):
         chance = edges.mirrors
         assert chance is not None
         face = jnp.minimum(jnp.sum(jnp.cumsum(chance) <= u), len(chance) - 1)
-        o, a, b = edge.corners(world, face)
+        o, a, b = curves.corners(world, face)
         middle, sides = o + (a + b) * 0.5, [length(a + b), length(a - b)]  # of a disk, half of the square around it
         disk = face >= world.first("disk")
         to = where(disk, o, middle) - x
@@ -299,7 +300,8 @@ class Mirror(eqx.Module):
         sine = radius / jnp.maximum(length(to), 1e-30)
         ok = chance[face] > 0
         weight = jnp.where(ok, 1.0 / jnp.where(ok, chance[face], 1.0), 0.0)
-        return cls(face, edge.Plane.of(world, face), edge.Cone(normalise(to), sine), weight)
+        cone = edge.Cone(normalise(to), sine, Outline.of(world, face, x, world.plan.kinds))
+        return cls(face, edge.Plane.of(world, face), cone, weight)
 
     def behind(self, world: World, w: Vec3, at: Met) -> Met:
         """What a ray along w that lands at a point sees in the mirror; of face −2 where the point is not on it."""
@@ -322,6 +324,16 @@ def zero_valued(coefficient: Spectrum, position: Any) -> Spectrum:
     return coefficient.map(lambda c: sg(jnp.where(jnp.isfinite(c), c, 0.0)) * moved)
 
 
+def lamp_cone(world: World, k: Any, x: Vec3) -> edge.Cone:
+    """What lamp number k takes of the directions from x, but for its own outline; where there are many, all lamps."""
+    bounds, plan, outline = world.light_bounds, world.plan, None
+    apart = bounds.shape[0] > 1 or world.light_rows.shape[0] <= FEW_LIGHTS
+    if apart and FLAT & set(plan.light_kinds):
+        face = world.light_rows[k, 14 + plan.channels].astype(jnp.int32)
+        outline = Outline.of(world, face, x, plan.light_kinds)
+    return edge.Cone.around(bounds[k], x, None, outline)
+
+
 def shadows(world: World, edges: Edges, seen: Seen, value: Any, s: Stream) -> Spectrum:
     """The boundary term of direct light at a point; `value(ω)`: f_r cosθ."""
     fixed, plan = sg(world), world.plan
@@ -330,7 +342,7 @@ def shadows(world: World, edges: Edges, seen: Seen, value: Any, s: Stream) -> Sp
     chances = fixed.light_rows[: bounds.shape[0], 13] if bounds.shape[0] > 1 else jnp.ones(1)
     cdf = jnp.cumsum(chances)
     k = _pick(cdf, s.pair_at(2)[0])
-    chosen = choose(fixed, edges, x, n, s, edge.Cone.around(bounds[k], x), creases=False)
+    chosen = choose(fixed, edges, x, n, s, lamp_cone(fixed, k, x), creases=False)
     j, r = chosen.edge, chosen.r
     free = jnp.where(dot(chosen.pole, chosen.beside - x) > 0, -1.0, 1.0)
     both = jax.vmap(lambda side: _look(fixed, seen, chosen, side))(jnp.stack([free, -free]))
@@ -369,7 +381,7 @@ def outlines(
         if plan.light_kinds:  # a lamp's image is as bright as the lamp
             bounds = fixed.light_bounds
             k = jnp.minimum((s.pair_at(2)[0] * bounds.shape[0]).astype(int), bounds.shape[0] - 1)
-            lamp = edge.Cone.around(bounds[k], x, mirror.plane)
+            lamp = edge.Cone.around(bounds[k], x, mirror.plane)  # not only inside: its own outline matters here
         kinds.append((choose(fixed, edges, x, n, s, toward=lamp), None))
         kinds.append((choose(fixed, edges, x, n, s.child(1), mirror.cone, mirror.plane, toward=lamp), mirror))
 

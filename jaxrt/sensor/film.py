@@ -133,8 +133,10 @@ def density(film: tuple[Any, ...], p: Pixel, at: tuple[Any, Any]) -> Any:
         else:
             place = (q - center + f.radius) / (2 * f.radius) * _KNOTS
             k = jnp.clip(place.astype(jnp.int32), 0, _KNOTS - 1)
-            inside = (place >= 0) & (place < _KNOTS)
-            h = jnp.asarray(np.diff(_tables(f)[0]), q.dtype).at[k].get(mode="clip")
-            h = h * (_KNOTS / (2 * f.radius))
+            cdf = jnp.asarray(_tables(f)[0], q.dtype)
+            start, step = cdf[:-1].at[k].get(mode="clip"), jnp.diff(cdf).at[k].get(mode="clip")
+            drawn = start + step * (place - k)  # where `sample` has it: beyond the picture's edge it has nothing
+            inside = (place >= 0) & (place < _KNOTS) & (drawn >= low) & (drawn <= high)
+            h = step * (_KNOTS / (2 * f.radius))
         out = out * jnp.where(inside, h / jnp.maximum(high - low, 1e-30), 0.0)
     return out if p.weight is None else out * weight(film, p, at)

@@ -59,13 +59,13 @@ def meter():
 
 @pytest.mark.parametrize("e", HALF_PLANE)
 def test_the_shadow_of_a_half_plane(meter, e):
-    """To 1 % and three standard errors of 130,000 samples; the receiver's own motion is part of it."""
+    """To 1 %, and to rounding and three standard errors of 130,000 samples; the receiver's own motion is part of it."""
     for got, want in zip(meter(e), HALF_PLANE[e], strict=True):
         if want is None:
             continue
         mean, error = float(got.mean()), float(got.std()) / np.sqrt(len(got) - 1)
         assert mean == pytest.approx(want, rel=0.01)
-        assert abs(mean - want) < 3 * error
+        assert abs(mean - want) < 3 * error + 2e-5 * abs(want)
         assert error < 0.003 * abs(want)
 
 

@@ -138,7 +138,7 @@ def test_a_border_is_sampled_beyond_the_edge():
 @EVERY
 @pytest.mark.parametrize("column", [0, 4])
 def test_the_density_is_the_filter(name, column):
-    """h_p at positions in the picture, by a table of 1024 steps, as outlines need it."""
+    """h_p at positions in the picture, by a table of 1024 steps, as outlines need it; and nothing beyond its edge."""
     made, h, row = (0, 0, *FILTERS[name]), shape_of(name), 3
     p = film.pixel(made, jnp.float32(column), jnp.float32(row), W, H)
     at = np.random.default_rng(1).uniform(0, (W, H), (64, 2))
@@ -149,3 +149,7 @@ def test_the_density_is_the_filter(name, column):
         total = integrate.trapezoid(h(x - center), x)
         want, peak = want * h(at[:, axis] - center) / total, peak * h(0.0) / total
     np.testing.assert_allclose(got, want, atol=0.01 * peak)
+    beyond = jax.vmap(lambda q: film.density(made, p, (q[0], q[1])))(
+        np.array([[-0.2, 3.5], [1.0, -0.1], [W + 0.1, 3.5]], np.float32)
+    )
+    assert not beyond.any()
