@@ -19,6 +19,7 @@ from ..compiler import cores, program, remembered, seconds_spent
 from ..effects import Plan, fitting
 from ..effects import plan as make_plan
 from ..parts import SceneError
+from ..sampling.independent import SAMPLERS
 from ..sampling.sobol import seed_of
 from ..scene import Scene, in_working_precision
 from ..world import World, prepared
@@ -118,6 +119,7 @@ def render(  # pyright: ignore[reportInconsistentOverload]  # options are those 
     plan: Plan | None = None,
     chunk: int | None = None,
     memory: float | None = None,
+    sampler: Literal["sobol", "independent"] = "sobol",
     aov: Sequence[str] | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> Solution | list[Solution]:
@@ -127,13 +129,15 @@ def render(  # pyright: ignore[reportInconsistentOverload]  # options are those 
     solved first; auto chooses and says why in `stats`. `max_depth` as Mitsuba counts it (1: emission only; −1: no end).
     `plan`: by default specialised on all values of the scene. `chunk`: pixels in flight a core, by default what is
     fastest; the same seed, plan and chunk give the same bits, another chunk the same within rounding. `memory`: bytes
-    that picture and pixels in flight may take, by default a quarter of the machine's. `aov`: what `Solution.aovs`
-    is to hold of the first surface that each pixel sees: depth, normal, geo_normal, albedo, uv, position, face, each
-    also under another name as "name:depth"; by default what the scene file asks. `progress`: called with the share
-    done. Raises `SceneError` for wrong arguments.
+    that picture and pixels in flight may take, by default a quarter of the machine's. `sampler`: sobol, or independent:
+    samples that know nothing of one another. `aov`: what `Solution.aovs` is to hold of the first surface that each
+    pixel sees: depth, normal, geo_normal, albedo, uv, position, face, each also under another name as "name:depth"; by
+    default what the scene file asks. `progress`: called with the share done. Raises `SceneError` for wrong arguments.
     """
     if method not in ("auto", "path", "field"):
         raise SceneError(f"method: {method!r} is not known; give auto, path or field")
+    if sampler not in SAMPLERS:
+        raise SceneError(f"sampler: {sampler!r} is not known; give {' or '.join(SAMPLERS)}")
     spp = scene.structure.asked().spp if spp is None else spp
     for name, value in (("spp", spp), ("chunk", 1 if chunk is None else chunk)):
         if not isinstance(value, (int, np.integer)) or value < 1:
@@ -164,7 +168,7 @@ def render(  # pyright: ignore[reportInconsistentOverload]  # options are those 
         for k, (view, n) in enumerate(zip(views, lanes, strict=True)):
             part = progress and (lambda done, k=k: progress((k + done) / len(views)))
             tones = scene.structure.sensors[sensors[k]].tones(plan.channels)
-            found.append(_picture(world, view, tones, depths, key, spp, n, field, pool, part))
+            found.append(_picture(world, view, tones, depths, SAMPLERS[sampler](key), spp, n, field, pool, part))
             found[-1].aovs = aovs(world, view, key, spp, names, pool)
             now, made = time.perf_counter(), seconds_spent() - spent
             run = now - began - made - seconds_solve
@@ -179,6 +183,7 @@ def render(  # pyright: ignore[reportInconsistentOverload]  # options are those 
             "plan": sorted(plan.effects),
             "seed": int(seed) if isinstance(seed, (int, np.integer)) else f"key {int(key)}",
             "method": chosen,
+            "sampler": sampler,
             "samples": spp,
             "max_depth": sol.stats["max_depth"],
             "seconds": sum(sol.stats[f"seconds_{part}"] for part in ("compile", "solve", "run")),
