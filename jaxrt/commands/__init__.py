@@ -1,6 +1,6 @@
 """The commands of the command line, one a file: its options, and what it does."""
 
-from . import compare, doctor, explain, render
+from . import compare, doctor, explain, render, workprec
 
-COMMANDS = render, explain, compare, doctor
+COMMANDS = render, explain, compare, workprec, doctor
 """Each has `add(commands, scene)`: the parser of the command line gets its own; `scene` has the options of a scene."""

@@ -53,6 +53,13 @@ def stops(text: str) -> float:
     raise argparse.ArgumentTypeError(f"is {text!r}; give a number of stops")
 
 
+def positive(text: str) -> float:
+    with contextlib.suppress(ValueError):
+        if math.isfinite(value := float(text)) and value > 0:
+            return value
+    raise argparse.ArgumentTypeError(f"is {text!r}; give a number above 0")
+
+
 def definition(text: str) -> tuple[str, str]:
     name, equals, value = text.partition("=")
     if not (name and equals):
