@@ -42,7 +42,7 @@ def plates(max_depth, size=16):
     )
 
 
-def test_errors_of_independent_samples_fall_as_the_root_and_of_sobol_points_faster():
+def test_errors_of_independent_samples_fall_as_the_root_and_of_sobol_points_faster(short_loops):
     scene = plates(max_depth=2)
     truth = jaxrt.render(scene, 1 << 14, 99, method="path")
     stage = stage_with(scene, Reference(truth.image, truth.relative_error, "Sobol"), most=1024)
@@ -57,7 +57,7 @@ def test_errors_of_independent_samples_fall_as_the_root_and_of_sobol_points_fast
     assert all(row.seconds > 0 for row in independent.rows)
 
 
-def test_depth_is_a_geometric_series():
+def test_depth_is_a_geometric_series(short_loops):
     """In a furnace every bounce more leaves the albedo of what was missing."""
     rho = 0.6
     scene = jaxrt.load(SCENES / "furnace.xml", res=16, rho=rho, max_depth=64)
@@ -69,7 +69,7 @@ def test_depth_is_a_geometric_series():
     assert curve.rows[0].error == pytest.approx(rho, rel=0.03)
 
 
-def test_elements_that_are_constant_are_of_first_order():
+def test_elements_that_are_constant_are_of_first_order(short_loops):
     """On a smooth scene the error falls as their size, the root of their number."""
     on = fields.OnSurfaces(plates(max_depth=-1, size=32), spp=4096, points=512)
     assert on.floor < 0.01
@@ -175,7 +175,7 @@ def test_wrong_arguments(tmp_path, capsys):
 
 
 @pytest.mark.peer
-def test_mitsuba_is_reference_and_rival():
+def test_mitsuba_is_reference_and_rival(short_loops):
     """Errors against it are those that pictures claim, so it is of the same light in the same size."""
     pytest.importorskip("mitsuba")
     file = SCENES / "veach_mis.xml"

@@ -21,7 +21,7 @@ from ..solver.field import solve
 from ..solver.measure import radiance, view_of
 from ..solver.partition import diffuse_sides
 from ..solver.path import sample_stream
-from ..surface import SurfacePoint, surface_point
+from ..surface import SurfacePoint, radiance_of, surface_point
 from ..vector import Vec3, dot
 from ..world import World, prepared
 from .curve import Curve, Row, ladder
@@ -44,12 +44,12 @@ class OnSurfaces:
         world, tables = prepared(self.scene, self.plan)
         view = in_working_precision(view_of(scene, 0))
         pixels = np.linspace(0, view.width * view.height - 1, points).astype(np.int32)
-        o, n, side = jax.jit(jax.vmap(_seen, (None, None, 0)))(world, view, pixels)
+        o, n, side, emitted = jax.jit(jax.vmap(_seen, (None, None, 0)))(world, view, pixels)
         diffuse = np.append(diffuse_sides(world, tables)[0], False)[np.asarray(side)]
         if not diffuse.any():
             raise SceneError(f"{scene.structure.source or 'scene'}: its first sensor sees no diffuse surface")
         some = np.resize(np.flatnonzero(diffuse), points)  # of one size, for one program
-        self.o, self.n = jax.tree.map(lambda a: a[some], (o, n))
+        self.o, self.n, self.emitted = jax.tree.map(lambda a: a[some], (o, n, emitted))
         found = [self._by_paths(spp, SEED + k) for k in (0, 1)]
         self.truth = 0.5 * (found[0] + found[1])
         self.floor = 0.5 * root_relative_mse(found[0], found[1])
@@ -57,23 +57,23 @@ class OnSurfaces:
     def _by_paths(self, spp: int, seed: int) -> np.ndarray:
         o, d = (jnp.stack([v.x, v.y, v.z], -1) for v in (self.o, -self.n))
         all_of_it = radiance(self.scene, o, d, seed, plan=self.plan, spp=spp, max_depth=-1)
-        emitted = radiance(self.scene, o, d, seed, plan=self.plan, spp=1, max_depth=1)
-        return np.asarray(all_of_it, np.float64) - np.asarray(emitted)
+        return np.asarray(all_of_it, np.float64) - np.asarray(self.emitted)
 
     def held(self, field: Any) -> np.ndarray:
         values = np.asarray(_held(field, psi(field.world), self.o, self.n))
         return np.broadcast_to(values, self.truth.shape)
 
 
-def _seen(world: World, view: Any, pixel: Any) -> tuple[Vec3, Vec3, Any]:
-    """A point before the surface that a pixel sees, the normal on that side, and the side's number; −1 for none."""
+def _seen(world: World, view: Any, pixel: Any) -> tuple[Vec3, Vec3, Any, Any]:
+    """A point before the surface that a pixel sees, the normal on that side, the side's number (−1 for none), and what
+    it emits along the normal."""
     ray = view(world, pixel, sample_stream(jnp.uint32(SEED), pixel, jnp.int32(0)))
     x = surface_point(world, world.search.closest(ray.o, ray.d), ray.o, ray.d)
     back = dot(x.normal, ray.d) > 0
     n = x.normal * jnp.where(back, -1.0, 1.0)
     faces = sum(world.blocks)
     side = jnp.where((x.face >= 0) & (x.face < faces), x.face + jnp.where(back, faces, 0), -1)
-    return off_surface(world, x.position, n), n, side
+    return off_surface(world, x.position, n), n, side, radiance_of(world, x, n).array()
 
 
 @jax.jit

@@ -117,6 +117,7 @@ def figure(reports: Sequence[Report], kind: str, columns: int | None = None, gro
             ax.patch.set_alpha(0.0)
             if not ax.lines:
                 ax.set_axis_off()
+                ax.set_title("")
                 continue
             _ticks(ax.yaxis, lambda value: f"{100 * value:g} %")
             if ax.get_xscale() == "log":

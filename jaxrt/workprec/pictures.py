@@ -46,9 +46,10 @@ def mitsuba(stage: Stage, until: Until) -> Iterator[Curve]:
     if (peer := stage.peer) is None:
         return
 
+    peer.picture(1, stage.seed)  # compiles
+
     def point(n: float) -> Row:
         picture = lambda seed: (peer.picture(int(n), seed), float("nan"), 0.0)
-        picture(stage.seed)  # compiles
         return stage.timed(picture, samples(n), n)
 
     rows = ladder(point, _samples(stage), until, stage.reference.error)
