@@ -1,4 +1,4 @@
-"""The command line: render, explain, compare, doctor.
+"""The command line: render, explain, compare, workprec, doctor.
 
 Each command imports what it needs when it runs: `--help` and mistakes in the command come without jax.
 A mistake of the user's is one line on stderr and exit code 2; Ctrl-C is exit code 130.

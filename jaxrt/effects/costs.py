@@ -74,7 +74,7 @@ def effect_costs(
     asked: dict[str, Any] = {"backend": backend, **overrides}
     make = lambda **more: make_plan(scene, free, **(asked | more))
     plan, wanted = make(), EFFECTS if names is None else [effect_named(name).name for name in names]
-    variants = [(name, other) for name in wanted if (other := _other(plan, name, make)) is not None]
+    variants = [(name, other) for name in wanted if (other := other_plan(plan, name, make)) is not None]
     picture = _pictures(scene, sensor, side, spp)
     found, base = [], None
     for k, (name, other) in enumerate(variants):
@@ -114,7 +114,7 @@ def dropped_radiance(scene: Scene, overrides: dict[str, Any], sensor: int = 0, s
     return all_of_it, all_of_it - left, float(np.hypot(error, its_error))
 
 
-def _other(plan: Plan, name: str, make: Callable[..., Plan]) -> Plan | None:
+def other_plan(plan: Plan, name: str, make: Callable[..., Plan]) -> Plan | None:
     """The plan with an effect turned round, or None where that cannot be or makes no difference."""
     effect, on = EFFECTS[name], name in plan.effects
     backend = name.removeprefix("rays:")
@@ -126,8 +126,9 @@ def _other(plan: Plan, name: str, make: Callable[..., Plan]) -> Plan | None:
     return None if other == plan else other
 
 
-def _pictures(scene: Scene, sensor: int, side: int, spp: int) -> Callable[[Plan], Any]:
-    from ..solver.render import render, resized
+def small(scene: Scene, sensor: int, side: int) -> Scene:
+    """The scene with a picture of at most `side` pixels to a side. Raises `SceneError` where there is no sensor."""
+    from ..solver.render import resized
 
     if not scene.structure.sensors:
         raise SceneError(
@@ -136,8 +137,14 @@ def _pictures(scene: Scene, sensor: int, side: int, spp: int) -> Callable[[Plan]
     structure = scene.structure.sensors[sensor]
     width, height, *_ = structure.film
     scale, views = min(1.0, side / max(width, height)), len(structure.parts) or 1
-    small = [max(1, round(scale * n)) for n in (width / views, height)]
-    scene = resized(scene, sensor, small[0] * views, small[1])
+    width, height = (max(1, round(scale * n)) for n in (width / views, height))
+    return resized(scene, sensor, width * views, height)
+
+
+def _pictures(scene: Scene, sensor: int, side: int, spp: int) -> Callable[[Plan], Any]:
+    from ..solver.render import render
+
+    scene = small(scene, sensor, side)
     return lambda plan: render(scene, spp, plan=plan, sensor=sensor, method="path")
 
 

@@ -19,6 +19,7 @@ from .. import brdf, emitter
 from ..compiler import one_function
 from ..gradient import material
 from ..rules import balance, light_node, met_share, reflected, reflection_density, reflection_node
+from ..sampling.independent import Independent
 from ..sampling.sobol import Drawn, Stream, combine
 from ..surface import Shading, SurfacePoint, choice, is_diffuse, leave, radiance_of, shading_at, surface_point
 from ..vector import Spectrum, Vec3, where
@@ -218,8 +219,13 @@ def _through(world: World, state: PathState, landing: Landing, follow: PathState
 
 
 def sample_stream(seed: Any, pixel: Any, i: Any, field: Any = None) -> Stream:
-    """Sample i of a pixel: point i div `SETS` of its set i mod `SETS`; with a field, point i of one sequence."""
+    """Sample i of a pixel: point i div `SETS` of its set i mod `SETS`; with a field, point i of one sequence.
+
+    `seed`: 32 bits, or `Independent`, with which every sample has numbers of its own.
+    """
     i = i.astype(jnp.uint32)
+    if isinstance(seed, Independent):
+        return seed.stream(pixel, i)
     if field is not None:
         return Stream(i, combine(seed, pixel))
     return Stream(i // SETS, combine(combine(seed, pixel), i % SETS))

@@ -16,6 +16,7 @@ from ..compiler import cores, remembered, seconds_spent
 from ..effects import Plan, fitting
 from ..effects import plan as make_plan
 from ..parts import SceneError
+from ..sampling.independent import SAMPLERS
 from ..sampling.sobol import seed_of
 from ..scene import Scene, in_working_precision
 from ..world import World, prepared
@@ -75,6 +76,7 @@ def render(  # pyright: ignore[reportInconsistentOverload]  # options are those 
     plan: Plan | None = None,
     chunk: int | None = None,
     memory: float | None = None,
+    sampler: Literal["sobol", "independent"] = "sobol",
     aov: Sequence[str] | None = None,
     progress: Callable[[float], None] | None = None,
     foretold: Callable[[list[Forecast]], None] | None = None,
@@ -87,18 +89,20 @@ def render(  # pyright: ignore[reportInconsistentOverload]  # options are those 
     tolerance will cost, and half and a tenth of it.
 
     `method`: path, or field: paths end in a field that is solved first; auto chooses and says why in `stats`.
-    `max_depth` as Mitsuba counts it (1: emission only; −1: no end). `plan`: by default specialised on all values of the
-    scene. `chunk`: pixels in flight a core, by default what is fastest; the same seed, plan and chunk give the same
-    bits, another chunk the same within rounding. `memory`: bytes that picture and pixels in flight may take, by default
-    a quarter of the machine's. `aov`: what `Solution.aovs` is to hold of the first surface that each pixel sees:
-    depth, normal, geo_normal, albedo, uv, position, face, each also under another name as "name:depth"; by default what
-    the scene file asks. `progress`: called with the share done. Raises `SceneError` for wrong arguments.
+    `max_depth` as Mitsuba counts it (1: emission only; −1: no end; with `rtol`, paths without end are cut where what
+    is left allows it, see `stats["bounces"]`). `plan`: by default specialised on all values of the scene. `chunk`:
+    pixels in flight a core, by default what is fastest; the same seed, plan and chunk give the same bits, another chunk
+    the same within rounding. `memory`: bytes that picture and pixels in flight may take, by default a quarter of the
+    machine's. `sampler`: sobol, or independent: samples that know nothing of one another. `aov`: what `Solution.aovs`
+    is to hold of the first surface that each pixel sees: depth, normal, geo_normal, albedo, uv, position, face, each
+    also under another name as "name:depth"; by default what the scene file asks. `progress`: called with the share
+    done. Raises `SceneError` for wrong arguments.
     """
     began, spent = time.perf_counter(), seconds_spent()
     goal = _goal(spp, rtol, seconds)
     sensors = [sensor] if isinstance(sensor, (int, np.integer)) else list(sensor)
     spp = scene.structure.asked().spp if spp is None else spp
-    job = _job(scene, spp, seed, method, max_depth, rr_depth, sensors, plan, chunk, memory, goal is not None)
+    job = _job(scene, spp, seed, method, max_depth, rr_depth, sensors, plan, chunk, memory, sampler, goal is not None)
     names = checked(scene.structure.asked().aovs if aov is None else aov, job.views)
     with ThreadPoolExecutor(cores()) as pool:
         way = job.fixed(pool) if goal is None else job.approach(pool, goal, max_depth is None)
@@ -138,6 +142,7 @@ def render(  # pyright: ignore[reportInconsistentOverload]  # options are those 
                 "plan": sorted(job.plan.effects),
                 "seed": int(seed) if isinstance(seed, (int, np.integer)) else f"key {int(job.key)}",
                 "method": way.method,
+                "sampler": sampler,
                 "samples": sol.stats["spp"],
                 "rtol": rtol,
                 "max_depth": sol.stats["max_depth"],
@@ -159,7 +164,7 @@ class Prospect(NamedTuple):
 def forecast(scene: Scene, rtol: float, seed: Any = 0, *, sensor: int = 0, **options: Any) -> Prospect:
     """What a tolerance will cost, from a pilot; seconds of a first render, compiling left out.
 
-    `options`: method, max_depth, rr_depth, plan, chunk, memory as of `render`.
+    `options`: method, max_depth, rr_depth, plan, chunk, memory, sampler as of `render`.
     """
     goal = _goal(None, rtol, None)
     assert goal is not None
@@ -173,7 +178,8 @@ def forecast(scene: Scene, rtol: float, seed: Any = 0, *, sensor: int = 0, **opt
 
 
 _OPTIONS: dict[str, Any] = {
-    "method": "auto", "max_depth": None, "rr_depth": None, "plan": None, "chunk": None, "memory": None
+    "method": "auto", "max_depth": None, "rr_depth": None, "plan": None, "chunk": None, "memory": None,
+    "sampler": "sobol",
 }  # fmt: skip
 
 
@@ -209,6 +215,7 @@ class _Job(NamedTuple):
     key: Any
     spp: int
     method: str
+    sampler: str
 
     @property
     def paths(self) -> int:
@@ -225,7 +232,7 @@ class _Job(NamedTuple):
         if series is not None and field is None:
             depths = dataclasses.replace(depths, max_depth=np.int32(series.max_depth))
         depths = seen_by(view, depths)
-        return Workers(self.world, view, depths, field, pool, self.lanes[k], pixels, self.tones[k])
+        return Workers(self.world, view, depths, field, pool, self.lanes[k], pixels, self.tones[k], self.sampler)
 
     def fixed(self, pool: Executor) -> Approach:
         """The method for so many samples a pixel."""
@@ -285,10 +292,12 @@ class _Job(NamedTuple):
 
 def _job(
     scene: Scene, spp: Any, seed: Any, method: str, max_depth: int | None, rr_depth: int | None, sensors: list[int],
-    plan: Plan | None, chunk: int | None, memory: float | None, exact: bool,
+    plan: Plan | None, chunk: int | None, memory: float | None, sampler: str, exact: bool,
 ) -> _Job:  # fmt: skip
     if method not in ("auto", "path", "field"):
         raise SceneError(f"method: {method!r} is not known; give auto, path or field")
+    if sampler not in SAMPLERS:
+        raise SceneError(f"sampler: {sampler!r} is not known; give {' or '.join(SAMPLERS)}")
     for name, value in (("spp", spp), ("chunk", 1 if chunk is None else chunk)):
         if not isinstance(value, (int, np.integer)) or value < 1:
             raise SceneError(f"{name}: is {value}; give a whole number of at least 1")
@@ -302,4 +311,4 @@ def _job(
     # Run-time numbers go in as arrays: paths of other sizes, depths and seeds use the same program.
     depths = path.Depths(np.int32(depths.max_depth), np.int32(depths.rr_depth), np.bool_(depths.hide_emitters))
     world, tables = prepared(scene, plan)
-    return _Job(world, tables, plan, views, tones, lanes, depths, np.asarray(seed_of(seed)), int(spp), method)
+    return _Job(world, tables, plan, views, tones, lanes, depths, np.asarray(seed_of(seed)), int(spp), method, sampler)

@@ -13,6 +13,7 @@ import numpy as np
 
 from ..compiler import cores, program
 from ..parts import SceneError
+from ..sampling.independent import SAMPLERS
 from ..world import World
 from . import path
 from .begin import Picture
@@ -103,19 +104,24 @@ class Workers:
 
     def __init__(
         self, world: World, view: Picture, depths: path.Depths, field: Any, pool: Executor, lanes: int, pixels: int,
-        tones: np.ndarray | None,
+        tones: np.ndarray | None, sampler: str = "sobol",
     ) -> None:  # fmt: skip
         self.view, self.field, self.pool, self.lanes, self.pixels, self.tones = view, field, pool, lanes, pixels, tones
-        self.args = world, view, depths
+        self.args, self.sampler = (world, view, depths), sampler
         self.size = int(view.width), int(view.height)
         self.n = self.size[0] * self.size[1]
         self.channels = world.plan.channels if tones is None else 1
         one = self._in_rows(Batch(1, 0, 1).part(0, 1, self.size))
-        self.run = program(path.trace_rows, *self.args, np.uint32(0), *one, np.int32(1), field)
+        self.run = program(path.trace_rows, *self.args, self._seed(np.uint32(0)), *one, np.int32(1), field)
 
     def seeing(self, view: Picture, depths: path.Depths) -> Workers:
         """The same threads for another view or other depths."""
-        return Workers(self.args[0], view, depths, self.field, self.pool, self.lanes, self.pixels, self.tones)
+        return Workers(
+            self.args[0], view, depths, self.field, self.pool, self.lanes, self.pixels, self.tones, self.sampler
+        )
+
+    def _seed(self, seed: Any) -> Any:
+        return SAMPLERS[self.sampler](seed)
 
     def tally(self, seed: Any, exact: bool = True) -> Tally:
         block = None if self.field is None else int(self.field.block)
@@ -134,7 +140,7 @@ class Workers:
             batch, start, end = one
             part: tuple[np.ndarray, ...] = batch.part(start, end, self.size)
             count = np.int32(-(-(end - start) // (self.lanes * self.pixels)))
-            values, cast = self.run(*self.args, tally.seed, *self._in_rows(part), count, self.field)
+            values, cast = self.run(*self.args, self._seed(tally.seed), *self._in_rows(part), count, self.field)
             values = np.asarray(values)[:count].swapaxes(1, 2)  # (rows, pixels of a lane, lanes, sets, C)
             values = values.reshape(-1, *values.shape[3:])[: end - start]
             cast = np.asarray(cast)[:count].reshape(-1)
