@@ -8,6 +8,7 @@ the device from a scene's tables, by two sorts, where a derivative asks for it.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import equinox as eqx
@@ -30,13 +31,18 @@ FLAT = 1e-4
 """Sine of the angle up to which two faces continue each other."""
 
 
+CANDIDATES = 128
+"""Edges, or faces, that one point chooses from; of more, this many drawn by length or area."""
+
+
 class Edges(eqx.Module):
     """Straight edges of M in world space. All of it held fixed.
 
     `ends`: both ends (m); `beside`: of each face at the edge a point off it, the same twice at a border; `uv`:
     coordinates of the ends on the first face. A `crease` bends enough for radiance to jump across it even where
-    both faces are seen; other edges matter where one face hides the other. The last `cuts` rows are lines along which
-    two faces cut through each other.
+    both faces are seen; other edges matter where one face hides the other, and a little (`faint`) where shading is
+    continuous but one face is in its own shadow. The last `cuts` rows are lines along which two faces cut through
+    each other.
     """
 
     ends: Float[Array, "E 6"]
@@ -50,6 +56,7 @@ class Edges(eqx.Module):
     mirrors: Float[Array, " P"] | None  # chance of each face, by area, to be the flat mirror in which edges are seen
     blocks: tuple[int, ...] = eqx.field(static=True)  # of faces, by kind: curved ones have outlines of their own
     cuts: int = eqx.field(static=True, default=0)
+    faint: Float[Array, " E"] | None = None
 
     @property
     def curved(self) -> bool:
@@ -200,9 +207,26 @@ def edges_of(scene: Scene, world: World) -> Edges:
         aside = jnp.concatenate([ends[:, :3] + 1.0, ends[:, :3] - 1.0], -1)  # on both sides: these hide nothing
         more = ends, aside, uv, faces, ~there & there, there, there
         rows = [jnp.concatenate(pair) for pair in zip(rows, more, strict=True)]
-    return Edges(
+    edges = Edges(
         *rows, shapes=scene.face_shape, mirrors=mirrors, blocks=scene.blocks, cuts=0 if found is None else len(found[0])
     )
+    return replace(edges, faint=_faint(edges, world)) if world.plan.smooth_normals else edges
+
+
+def _faint(edges: Edges, world: World) -> Any:
+    """About how much radiance jumps, in units of what it may be, across edges at which shading is continuous: where
+    one face sees more of a lamp above its horizon than the other, and a little everywhere."""
+    geometry = jax.lax.stop_gradient(world.geometry)[edges.faces]
+    m, n = (_unit(jnp.cross(geometry[:, k, 3:6], geometry[:, k, 6:9])) for k in (0, 1))
+    bend = jnp.sqrt(_dot(m - n, m - n))[:, 0]
+    middle = 0.5 * (edges.ends[:, :3] + edges.ends[:, 3:])
+
+    def lit(ball: Any) -> Any:
+        over = lambda n: jnp.clip(((ball[None, :3] - middle) * n).sum(-1) / jnp.maximum(ball[3], 1e-30), -1.0, 1.0)
+        return 0.5 * jnp.abs(over(m) - over(n))
+
+    most = jax.lax.map(lit, jax.lax.stop_gradient(world.light_bounds)).max(0, initial=0.0)
+    return jnp.where(edges.crease, 1.0, jnp.minimum(bend * most + 0.05 * bend * bend, 1.0))
 
 
 def _mirrors(scene: Scene, world: World) -> Any:
@@ -250,11 +274,26 @@ class Plane(eqx.Module):
         """Where a point is seen in the mirror."""
         return p - self.n * (2.0 * dot(self.n, p - self.o))
 
+    def turned(self, w: Vec3) -> Vec3:
+        """A direction, reflected."""
+        return w - self.n * (2.0 * dot(self.n, w))
+
 
 def two_points(row: Any, plane: Plane | None = None) -> tuple[Vec3, Vec3]:
     """The two points in a row of `ends` or `beside`, or their images in a mirror."""
     p, q = Vec3(row[0], row[1], row[2]), Vec3(row[3], row[4], row[5])
     return (p, q) if plane is None else (plane.image(p), plane.image(q))
+
+
+def sums_of(weights: Any) -> Any:
+    """Running sums, as a product: XLA would make each weight anew for every sum that holds it."""
+    n = len(weights)
+    return jnp.dot(weights, jnp.asarray(np.triu(np.ones((n, n))), weights.dtype), precision="highest")
+
+
+def pick(sums: Any, u: Any) -> Any:
+    """The number of a weight, by the running sums of all."""
+    return jnp.minimum(jnp.sum(sums <= u * sums[-1]), len(sums) - 1)
 
 
 def _dot(a: Any, b: Any) -> Any:
@@ -328,6 +367,13 @@ def arc_of(ends: tuple[Vec3, Vec3], x: Vec3, n: Vec3 | None) -> Arc:
     middle, pole = normalise(normalise(a) + normalise(b)), normalise(normal)
     to = a + (b - a) * 0.5
     return Arc(middle, cross(pole, middle), pole, 0.5 * theta, safe_sqrt(dot(to, to)))
+
+
+def lies_in(world: World, edges: Edges, j: Any, x: Vec3, n: Vec3) -> Any:
+    """Whether edge j lies in the plane through x with normal n: where both are of one face."""
+    near = lambda p: jnp.abs(dot(n, p - x)) < 1e-4 * length(p - x) + 2.0 * world.epsilon
+    p, q = two_points(edges.ends[j])
+    return near(p) & near(q) & (dot(n, n) > 0.5)
 
 
 def hides(edges: Edges, j: Any, x: Vec3, pole: Vec3, plane: Plane | None = None) -> Any:

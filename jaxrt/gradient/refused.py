@@ -33,16 +33,15 @@ def check(plan: Any, view: str, deep: bool, lamps: bool, places: bool) -> None:
         why = "borders inside textures that jump (checkerboards, bitmaps looked up by nearest); use bilinear bitmaps"
     elif plan.smooth_lights:
         why = "where lamps turn dark by their vertex normals; make those lamps without normals"
-    elif deep and plan.smooth_normals:
-        why = (
-            "where surfaces turn dark by their vertex normals, short of their outlines; leave normals out, or give "
-            "face_normals"
-        )
     elif plan.hide_emitters and view in CAMERAS:
         why = "outlines of emitters that are hidden from the camera; set hide_emitters to false"
     if why is None and view in ("batch", "distant"):
         why = f"outlines as a {view} sensor sees them; differentiate pictures of single cameras"
-    if why is None and view == "orthographic" and (plan.mirrors or set(plan.kinds) & {"sphere", "cylinder", "disk"}):
+    if (
+        why is None
+        and view == "orthographic"
+        and (plan.mirrors or plan.smooth_normals or set(plan.kinds) & {"sphere", "cylinder", "disk"})
+    ):
         why = (
             "outlines of curved faces and in mirrors as orthographic cameras see them; use a perspective one from afar"
         )

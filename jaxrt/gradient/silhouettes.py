@@ -20,6 +20,7 @@ from ..sensor import camera, film
 from ..solver import path
 from ..vector import Vec3, where
 from ..world import World
+from . import contours
 from . import edges as edge
 from .edges import Edges
 from .visibility import Mirror, along, choose, follow, owned, zero_valued
@@ -68,7 +69,11 @@ class OnFilm(eqx.Module):
             long = jnp.sqrt((b[0] - a[0]) ** 2 + (b[1] - a[1]) ** 2) * jnp.maximum(high - low, 0.0)
             seen = ~gone & edges.there[j] & jnp.isfinite(long)
             if view.sensor.kind == "perspective":  # else an edge is seen from several sides
-                seen &= edges.crease[j] | edge.hides(edges, j, eye, edge.arc_of((p, q), eye, None).pole)
+                outline = edges.crease[j] | edge.hides(edges, j, eye, edge.arc_of((p, q), eye, None).pole)
+                if edges.faint is None:
+                    seen &= outline
+                else:
+                    long = long * jnp.where(outline, 1.0, edges.faint[j])
             else:
                 z0, z1 = (z0, z1) if view.sensor.kind == "thinlens" else (jnp.ones_like(z0), jnp.ones_like(z1))
             z = jnp.stack([z0, z1])
@@ -103,13 +108,15 @@ def _beside(
     s: Stream,
     mirror: Any,
     further: bool,
+    aside: Any = ASIDE,
 ) -> Any:
     """L₋ − L₊ beside the place q of an edge on the film, where that edge (or its image in a mirror) is what parts them.
 
     `mirror`: nothing, or a mirror and whether it is meant. `further`: as of `follow`.
     """
 
-    far = jnp.where(j >= len(edges.ends), jnp.minimum(ASIDE, NEAR * jnp.maximum(view.width, view.height)), ASIDE)
+    near = jnp.minimum(ASIDE, NEAR * jnp.maximum(view.width, view.height))
+    far = jnp.where(j >= len(edges.ends), near, aside)
 
     def one(side: Any) -> Any:
         at = q[0] + far * side * n[0], q[1] + far * side * n[1]
@@ -139,8 +146,8 @@ def picture(
     middle = still.lens * jnp.array([1.0, 0.0, 1.0, 1.0, 1.0])
     seed, reach = combine(seed, 0xED6E), int(np.ceil(filter_[3] + 0.5))
 
-    def one(world: World, view: Any, to_local: Any, i: Any) -> tuple[Any, Any]:
-        s = Stream(i.astype(jnp.uint32), seed)
+    def outline(world: World, view: Any, to_local: Any, s: Stream) -> tuple[Any, Any]:
+        """A place of the film on an edge, and the term there."""
         lens = s.pair_at(1) if camera.uses_lens(still.sensor) else None
         ways = s.child(2).pair_at(0)[0] * n_ways
         found: list[tuple[Any, Any, Any, Any]] = []
@@ -170,10 +177,54 @@ def picture(
         ((q, z), (dq, _)) = jax.jvp(lambda t: at(still, fixed, sg(to_local), t), (t,), (jnp.ones_like(t),))
         speed = jnp.sqrt(dq[0] * dq[0] + dq[1] * dq[1])
         normal = -dq[1] / jnp.maximum(speed, 1e-30), dq[0] / jnp.maximum(speed, 1e-30)
-        jump = _beside(fixed, edges, still, depths, j, q, normal, lens, s, mirror, steps > 1)
+
+        def across(p: Vec3) -> Any:
+            to, _ = camera.position(still.sensor, sg(to_local), still.lens, still.window, image(fixed, p), lens)
+            return jnp.abs(normal[0] * (to[0] - q[0]) + normal[1] * (to[1] - q[1]))
+
+        aside = ASIDE
+        if plan.smooth_normals and straight:  # nearer than contours, by how wide both faces look
+            wide = jnp.stack([across(p) for p in edge.two_points(edges.beside[jnp.minimum(j, len(edges.ends) - 1)])])
+            aside = jnp.where(j < len(edges.ends), jnp.clip(0.02 * wide.min(), 1e-5 * still.width, ASIDE), ASIDE)
+        jump = _beside(fixed, edges, still, depths, j, q, normal, lens, s, mirror, steps > 1, aside)
         scale = jnp.where((weight > 0) & (z > 0), weight * speed, 0.0)
         moved, _ = at(view, world, to_local, sg(t))
-        value = zero_valued(jump * scale, normal[0] * moved[0] + normal[1] * moved[1]).array()
+        return q, zero_valued(jump * scale, normal[0] * moved[0] + normal[1] * moved[1])
+
+    def contour(world: World, view: Any, _: Any, s: Stream) -> tuple[Any, Any]:
+        """The same on a contour of vertex normals, or its image in a mirror."""
+        lens = s.pair_at(1) if camera.uses_lens(still.sensor) else None
+        through = lambda view, q: camera.ray(view.sensor, view.to_world, view.lens, view.window, q, lens)
+        eye = camera.ray(still.sensor, still.to_world, middle, still.window, (0.0, 0.0), lens)[0]
+        mirror, meant, weight = None, False, 1.0
+        if mirrors:
+            mirror, meant = Mirror.choose(fixed, edges, eye, s.child(1).pair_at(2)[0]), s.child(2).pair_at(0)[0] < 0.5
+            weight = 2.0 * jnp.where(meant, mirror.weight, 1.0)
+        image = lambda p: p if mirror is None else where(meant, mirror.plane.image(p), p)
+        found = contours.choose(fixed, image(eye), None, s.child(1), mirror is None and lens is None)
+        to_local = jnp.linalg.inv(still.to_world)
+        at = lambda p: camera.position(still.sensor, to_local, still.lens, still.window, image(p), lens)[0]
+
+        def look(y: Vec3) -> Any:
+            o, d = through(still, at(y))
+            met, light = follow(fixed, depths, o, d, s, jnp.int32(0), True, True)
+            return (met if mirror is None else where(meant, mirror.behind(fixed, d, met), met)).face, light
+
+        face, light = jax.vmap(look)(jax.tree.map(lambda *a: jnp.stack(a), found.dark, found.light))
+        place = lambda u, v: at(contours.at(fixed, found.face, (u, v)))
+        q, (qx, qy) = place(*found.uv), jax.jacfwd(place, (0, 1))(*found.uv)
+        area = jnp.abs(qx[0] * qy[1] - qx[1] * qy[0])
+        scale = jnp.where((face == found.face).all(), found.weight * weight * area, 0.0)
+        o, d = through(view, q)
+        if mirror is not None:
+            plane = edge.Plane.of(world, mirror.face)
+            o, d = where(meant, (plane.image(o), plane.turned(d)), (o, d))
+        jump = light.map(lambda c: (c[1] - c[0]) * scale)
+        return q, zero_valued(jump, contours.level(world, found.face, o, d))
+
+    def one(term: Any, world: World, view: Any, to_local: Any, i: Any) -> tuple[Any, Any]:
+        q, value = term(world, view, to_local, Stream(i.astype(jnp.uint32), seed))
+        value = value.array()
         places, parts = [], []
         for a in range(1 - reach, reach):
             for b in range(1 - reach, reach):
@@ -185,6 +236,7 @@ def picture(
                 parts.append(value * sg(h))
         return jnp.stack(places), jnp.stack(parts)
 
+    terms_of = [outline, contour] if plan.smooth_normals and steps > 1 else [outline]
     samples *= n_ways
     lanes = min(samples, LANES)
     batches = max(1, round(samples / lanes))
@@ -194,8 +246,11 @@ def picture(
     def batch(motion: Any, first: Any) -> Any:
         def terms(world: World, view: Any) -> Any:
             to_local, numbers = jnp.linalg.inv(view.to_world), first + jnp.arange(lanes, dtype=jnp.int32)
-            places, parts = jax.vmap(lambda i: one(world, view, to_local, i))(numbers)
-            return zero.at[places].add(parts, mode="drop")
+            total = zero
+            for term in terms_of:
+                places, parts = jax.vmap(lambda i, term=term: one(term, world, view, to_local, i))(numbers)
+                total = total.at[places].add(parts, mode="drop")
+            return total
 
         return along(terms, (world, view), motion)[1]
 

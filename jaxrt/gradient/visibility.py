@@ -23,7 +23,6 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax.lax import stop_gradient as sg
 
 from .. import brdf
@@ -33,18 +32,15 @@ from ..solver import path
 from ..surface import SurfacePoint, choice, leave, radiance_of, shading_at, surface_point
 from ..vector import Spectrum, Vec3, cross, dot, length, normalise, where
 from ..world import FEW_LIGHTS, World
-from . import curves, material
+from . import contours, curves, material
 from . import edges as edge
-from .edges import Edges
+from .edges import CANDIDATES, Edges, pick, sums_of
 from .outline import FLAT, Outline
-
-CANDIDATES = 128
-"""Edges that one point chooses from; of more, this many drawn by length."""
 
 
 def aside(world: World, r: Any) -> Any:
     """How far beside an edge at distance r to look, in radians: more than rounding moves points, and hardly more."""
-    fine = 3e-4 if world.faces.dtype == jnp.float32 else 1e-5
+    fine = (1e-4 if world.plan.smooth_normals else 3e-4) if world.faces.dtype == jnp.float32 else 1e-5
     return jnp.minimum(jnp.maximum(fine, 4.0 * world.epsilon / jnp.maximum(r, 1e-30)), 0.05)
 
 
@@ -80,13 +76,15 @@ def choose(
     creases: bool = True,
     straight: bool = True,
     toward: edge.Cone | None = None,
+    plain: Vec3 | None = None,
 ) -> Chosen:
     """An edge as seen from x (above the horizon of n), by the angle it takes over its distance, and an even angle
     along it; or a part of the outline of a curved face, and an even place on it.
 
     `cone`: the parts of edges inside a cone of directions. `plane`: a mirror, in which they are seen. Without
     `creases`: outlines alone; without `straight`, those of curved faces. `toward`: a cone whose insides half of the
-    choices are made from; densities are those of both.
+    choices are made from; densities are those of both. `plain`: the normal of the face of x, where n is another: what
+    is seen changes at that face's horizon too, which its own edges are.
     """
     u, v = s.pair_at(0)
     total = edges.ends.shape[0] if straight else 0
@@ -102,8 +100,15 @@ def choose(
     def weigh(j: Any, scale: Any) -> list[Any]:
         arc = edge.arc_of(edge.two_points(edges.ends[j], plane), x, n)
         seen = edge.hides(edges, j, x, arc.pole, plane)
-        seen = (seen | edges.crease[j] if creases else seen) & edges.there[j]
         rate = scale / jnp.maximum(arc.distance, world.epsilon)
+        if plain is not None and n is not None and plane is None:
+            flat, tilt = edge.lies_in(world, edges, j, x, plain), length(cross(n, plain))
+            seen, rate = seen | flat, jnp.where(flat, scale * tilt / world.radius, rate)
+        if creases:
+            seen |= edges.crease[j]
+        if creases and edges.faint is not None:
+            seen, rate = seen | (edges.faint[j] > 0), jnp.where(seen, rate, rate * edges.faint[j])
+        seen &= edges.there[j]
         ranges = [arc.within(c) for c in cones]
         return [jnp.where(seen & (high > low), rate * (high - low), 0.0) for low, high in ranges]
 
@@ -113,16 +118,16 @@ def choose(
     weights = jax.vmap(weigh)(numbers, scale) if total else [jnp.zeros(0, world.faces.dtype)] * len(cones)
     if parts.count:
         weights = [jnp.concatenate([w, parts.weigh(c)]) for w, c in zip(weights, cones, strict=True)]
-    sums = [_sums(w) for w in weights]
+    sums = [sums_of(w) for w in weights]
     shares = [jnp.ones_like(u)]
     if toward is not None:
         half = jnp.where(sums[1][-1] > 0, 0.5, 0.0)
         second = u < half
         u = jnp.where(second, u / jnp.maximum(half, 0.5), (u - half) / (1.0 - half))
         shares = [1.0 - half, half]
-        k = jnp.where(second, _pick(sums[1], u), _pick(sums[0], u))
+        k = jnp.where(second, pick(sums[1], u), pick(sums[0], u))
     else:
-        second, k = False, _pick(sums[0], u)
+        second, k = False, pick(sums[0], u)
     chances = [a * w[k] / jnp.where(c[-1] > 0, c[-1], 1.0) for a, w, c in zip(shares, weights, sums, strict=True)]
     found: Chosen | None = None
     if total:
@@ -135,16 +140,6 @@ def choose(
         found = curved if found is None else where(k >= total, curved, found)
     assert found is not None
     return found
-
-
-def _sums(weights: Any) -> Any:
-    """Running sums, as a product: XLA would make each weight anew for every sum that holds it."""
-    n = len(weights)
-    return jnp.dot(weights, jnp.asarray(np.triu(np.ones((n, n))), weights.dtype), precision="highest")
-
-
-def _pick(sums: Any, u: Any) -> Any:
-    return jnp.minimum(jnp.sum(sums <= u * sums[-1]), len(sums) - 1)
 
 
 def _on_edge(
@@ -167,7 +162,8 @@ def _on_edge(
     t = jnp.clip(dot(x + w * r - p, along) / jnp.maximum(dot(along, along), 1e-30), 0.0, 1.0)
     good = (density > 0) & jnp.isfinite(r) & (r > 8.0 * world.epsilon)
     slope = r * r / jnp.maximum(length(normal), 1e-30)
-    beside = edge.two_points(edges.beside[j], plane)[0]
+    a, b = edge.two_points(edges.beside[j], plane)
+    beside = (a + b) * 0.5
     weight = jnp.where(good, scale / jnp.where(good, density, 1.0), 0.0)
     return Chosen(j, x, beside, w, arc.pole, jnp.where(good, r, 1.0), t, slope, weight)
 
@@ -268,6 +264,10 @@ class Seen(eqx.Module):
     lift: Vec3
     beta: Spectrum
 
+    def plain(self, world: World) -> Vec3 | None:
+        """The normal of its face where shading has others; of no length where there is no face."""
+        return self.lift * (1.0 / world.epsilon) if world.plan.smooth_normals else None
+
     def origin(self, w: Vec3) -> Vec3:
         return sg(self.position) + self.lift * jnp.where(dot(self.lift, w) < 0, -1.0, 1.0)
 
@@ -305,7 +305,7 @@ class Mirror(eqx.Module):
 
     def behind(self, world: World, w: Vec3, at: Met) -> Met:
         """What a ray along w that lands at a point sees in the mirror; of face −2 where the point is not on it."""
-        turned = w - self.plane.n * (2.0 * dot(self.plane.n, w))
+        turned = self.plane.turned(w)
         origin = leave(world, at, turned)
         y = surface_point(world, world.settle(world.search.closest(origin, turned)), origin, turned)
         there = at.face == self.face
@@ -341,8 +341,8 @@ def shadows(world: World, edges: Edges, seen: Seen, value: Any, s: Stream) -> Sp
     bounds = fixed.light_bounds
     chances = fixed.light_rows[: bounds.shape[0], 13] if bounds.shape[0] > 1 else jnp.ones(1)
     cdf = jnp.cumsum(chances)
-    k = _pick(cdf, s.pair_at(2)[0])
-    chosen = choose(fixed, edges, x, n, s, lamp_cone(fixed, k, x), creases=False)
+    k = pick(cdf, s.pair_at(2)[0])
+    chosen = choose(fixed, edges, x, n, s, lamp_cone(fixed, k, x), creases=False, plain=seen.plain(fixed))
     j, r = chosen.edge, chosen.r
     free = jnp.where(dot(chosen.pole, chosen.beside - x) > 0, -1.0, 1.0)
     both = jax.vmap(lambda side: _look(fixed, seen, chosen, side))(jnp.stack([free, -free]))
@@ -375,31 +375,59 @@ def outlines(
     x, n = sg(seen.position), None if brdf.is_translucent(plan.lobes) else seen.normal
     kinds: list[tuple[Chosen, Mirror | None]] = []
     if edges.mirrors is None:
-        kinds.append((choose(fixed, edges, x, n, s), None))
+        kinds.append((choose(fixed, edges, x, n, s, plain=seen.plain(fixed)), None))
     else:
         mirror, lamp = Mirror.choose(fixed, edges, x, s.pair_at(2)[1]), None
         if plan.light_kinds:  # a lamp's image is as bright as the lamp
             bounds = fixed.light_bounds
             k = jnp.minimum((s.pair_at(2)[0] * bounds.shape[0]).astype(int), bounds.shape[0] - 1)
             lamp = edge.Cone.around(bounds[k], x, mirror.plane)  # not only inside: its own outline matters here
-        kinds.append((choose(fixed, edges, x, n, s, toward=lamp), None))
+        kinds.append((choose(fixed, edges, x, n, s, toward=lamp, plain=seen.plain(fixed)), None))
         kinds.append((choose(fixed, edges, x, n, s.child(1), mirror.cone, mirror.plane, toward=lamp), mirror))
 
-    def ray(w: Vec3, pole: Vec3, angle: Any) -> Any:
-        w = normalise(w + pole * angle)
-        return w, *follow(fixed, depths, seen.origin(w), w, s, depth + 1, further, not plan.light_kinds)
+    inside: list[tuple[contours.Contour, Mirror | None]] = []
+    if plan.smooth_normals and further:
+        for k, (_, mirror) in enumerate(kinds):
+            eye, up = (x, n) if mirror is None else (mirror.plane.image(x), None)
+            inside.append((contours.choose(fixed, eye, up, s.child(2 + k)), mirror))
 
-    sides = [(c.w, c.pole, side * aside(fixed, c.r)) for c, _ in kinds for side in (-1.0, 1.0)]
+    def beside(c: Chosen, side: float) -> tuple[Vec3, Vec3]:
+        w = normalise(c.w + c.pole * (side * aside(fixed, c.r)))
+        return seen.origin(w), w
+
+    def towards(y: Vec3, mirror: Mirror | None) -> tuple[Vec3, Vec3]:
+        y = y if mirror is None else mirror.plane.image(y)
+        return seen.origin(y - x), normalise(y - seen.origin(y - x))
+
+    sides = [beside(c, side) for c, _ in kinds for side in (-1.0, 1.0)]
+    sides += [towards(y, mirror) for c, mirror in inside for y in (c.dark, c.light)]
+    ray = lambda o, w: follow(fixed, depths, o, w, s, depth + 1, further, not plan.light_kinds)
     looked = jax.vmap(ray)(*jax.tree.map(lambda *a: jnp.stack(a), *sides))
     total = Spectrum.full(plan.channels, 0.0 * x.x)
-    for k, (chosen, mirror) in enumerate(kinds):
+
+    def seen_at(k: int, mirror: Mirror | None) -> tuple[list[Met], Spectrum]:
+        """What the two rays of number k meet, and the difference of what arrives along them."""
         rays = [jax.tree.map(lambda a, i=2 * k + i: a[i], looked) for i in (0, 1)]
-        met = [y if mirror is None else mirror.behind(fixed, w, y) for w, y, _ in rays]
+        met = [y if mirror is None else mirror.behind(fixed, sides[2 * k + i][1], y) for i, (y, _) in enumerate(rays)]
+        return met, rays[0][1] - rays[1][1]
+
+    for k, (chosen, mirror) in enumerate(kinds):
+        met, jump = seen_at(k, mirror)
         share = owned(fixed, edges, chosen.edge, chosen.r, 8.0 * aside(fixed, chosen.r) * chosen.r, *met)
         scale = chosen.weight * share * (1.0 if mirror is None else mirror.weight) / chosen.r
-        coefficient = seen.beta * value(chosen.w) * (rays[0][2] - rays[1][2]) * scale
+        coefficient = seen.beta * value(chosen.w) * jump * scale
         y_attached = chosen.attached(world, edges, None if mirror is None else mirror.face)
         total = total + zero_valued(coefficient, dot(chosen.pole, y_attached - seen.position))
+    for k, (contour, mirror) in enumerate(inside, len(kinds)):
+        met, jump = seen_at(k, mirror)
+        eye = x if mirror is None else mirror.plane.image(x)
+        d, solid_angle = contour.seen_from(fixed, eye)
+        w, scale, ray = d, contour.weight * solid_angle, (seen.position, d)
+        if mirror is not None:
+            w, scale, plane = mirror.plane.turned(d), scale * mirror.weight, edge.Plane.of(world, mirror.face)
+            ray = plane.image(seen.position), plane.turned(w)
+        scale = jnp.where((met[0].face == contour.face) & (met[1].face == contour.face), -scale, 0.0)
+        total = total + zero_valued(seen.beta * value(w) * jump * scale, contours.level(world, contour.face, *ray))
     return total
 
 

@@ -238,6 +238,79 @@ def test_what_reflected_light_sees_is_traced_where_it_is_more_than_lamps(enclosu
     assert bool(found) is asked
 
 
+# --------------------------------------------------------------------------------------- with vertex normals
+
+
+def test_where_vertex_normals_turn_away():
+    """A square under an even sky, lit where x > x₀, the root of a quadratic: by its normals and by the camera's height."""
+    corners = np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
+    square = jaxrt.Mesh(
+        id="square", vertices=corners, faces=[[0, 1, 2], [0, 2, 3]], normals=corners, bsdf=jaxrt.Diffuse(0.5)
+    )
+    pose = np.diag([-1.0, 1, -1, 1])
+    sensor = jaxrt.Sensor("perspective", pose, fov=40, film=jaxrt.Film(8, 8, "box"), id="eye")
+    scene = jaxrt.Scene.build([square], sensors=[sensor], enclosure=jaxrt.Enclosure(1.0))
+    half = np.tan(np.radians(20.0))
+
+    def lit(a, h):
+        """1 − x₀: n = l + (r − l)(1 + x)/2, −x nₓ + h n_z = 0."""
+        (lx, lz), (rx, rz) = (jnp.sin(a), -jnp.cos(a)), (np.sin(0.5), np.cos(0.5))
+        mx, dx, mz, dz = (lx + rx) / 2, (rx - lx) / 2, (lz + rz) / 2, (rz - lz) / 2
+        b, c = h * dz - mx, h * mz
+        return 1 - 2 * c / (-b - jnp.sqrt(b * b + 4 * dx * c))
+
+    closed = lambda a, h: 1 - (4 - 0.5 * 2 * lit(a, h)) / (2 * h * half) ** 2
+
+    def mean(at, boundary):
+        a, h = at
+        left, right = jnp.stack([jnp.sin(a), 0.0, -jnp.cos(a)]), jnp.array([np.sin(0.5), 0, np.cos(0.5)])
+        values = {
+            "square.normals": jnp.stack([left, right, right, left]),
+            "eye.to_world": jnp.asarray(pose, jnp.float32).at[2, 3].set(h),
+        }
+        here = jaxrt.with_params(scene, values)
+        return jaxrt.measure(here, 0, plan=scene.plan, spp=256, max_depth=2, boundary=boundary).mean()
+
+    at = jnp.array([0.2, 4.0])
+    got = jax.jit(jax.jacfwd(lambda at: mean(at, True) - mean(at, False)))(at)  # interior terms are 0, but for noise
+    for one, want in zip(got, jax.grad(closed, (0, 1))(*at), strict=True):
+        assert float(one) == pytest.approx(float(want), rel=0.01)
+
+
+@pytest.mark.slow
+def test_a_smooth_ball_in_motion():
+    """Of 80 faces: points at which its own faces hide half of a lamp, and what it throws onto a floor."""
+    v, f = icosphere(1)
+    lamp_at = np.array([0.3, 0.2, 2.0])
+    ball = jaxrt.Mesh(id="ball", vertices=v * 0.5, faces=f, normals=v, bsdf=jaxrt.Diffuse(0.8))
+    lamp = jaxrt.Rectangle(to_world=moved(0.5, lamp_at, frame((0, 0, -1), (1, 0, 0))), emission=5.0, bsdf=BLACK)
+    scene = jaxrt.Scene.build([ball, lamp])
+    middle = v[f].mean(1)
+    n = middle / np.linalg.norm(middle, axis=1, keepdims=True)
+    height = ((lamp_at - 0.5 * middle) * n).sum(1)
+    half = np.argsort(np.abs(height))[:4]
+    o, d = 0.5 * (v[f[half]] * np.array([0.36, 0.35, 0.29])[:, None]).sum(1) + 0.3 * n[half], -n[half]
+    floor = [[0.5, 0.2, -0.6], [-0.3, 0.6, -0.6], [0.1, -0.7, -0.6]]
+
+    def light(t, spp, key):
+        turn, axis = jnp.eye(3) + t * jnp.array([[0, -1.0, 0], [1, 0, 0.5], [0, -0.5, 0]]), jnp.array([0.5, 0.2, 0.3])
+        at = jnp.asarray(v, jnp.float32) @ turn.T * 0.5 + axis[None] * t
+        moved_scene = jaxrt.with_params(scene, {"ball.vertices": at})
+        seen = jaxrt.radiance(moved_scene, o, d, key, plan=scene.plan, spp=spp, max_depth=2)[:, 0]
+        thrown = jaxrt.irradiance(
+            moved_scene, jnp.repeat(jnp.array(floor), 8, 0), [[0, 0, 1.0]], key, plan=scene.plan, spp=spp, max_depth=2
+        )
+        return jnp.concatenate([seen, thrown.reshape(3, 8).mean(1)])
+
+    slopes = jax.jit(lambda key: jax.jvp(lambda t: light(t, 1024, key), (0.0,), (1.0,))[1])
+    got = np.array([slopes(key) for key in range(8)], float)
+    plain, h = jax.jit(lambda t: light(t, 1 << 18, 9)), 0.004
+    want = (np.asarray(plain(h), float) - np.asarray(plain(-h), float)) / (2 * h)
+    error = got.std(0) / np.sqrt(7)
+    assert (error < 0.02 * np.abs(want).max()).all()
+    assert (np.abs(got.mean(0) - want) < 4 * error + 0.02 * np.abs(want)).all(), (got.mean(0), want, error)
+
+
 # -------------------------------------------------------------------------------- against central differences
 
 RES = 16
