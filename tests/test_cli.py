@@ -138,6 +138,12 @@ def test_definitions_fill_names_of_the_scene(run, scene):
     np.testing.assert_allclose(read_exr("b.exr")[0], 2 * read_exr("a.exr")[0], rtol=1e-5)
 
 
+def test_a_tolerance_says_what_it_costs_and_what_was_reached(run, scene, capfd):
+    (line,) = run("render", scene(), "--rtol", "30%", "--size", "16x16", "--method", "path", "-o", "t.exr")
+    assert "asked 30.00%, below" in line and "in 95 of 100 renders" in line
+    assert Path("t.exr").exists() and Path("t.png").exists()
+
+
 def test_exposure_changes_the_png_alone(run, scene):
     import PIL.Image
 
@@ -285,6 +291,10 @@ def test_version_and_help(run):
         (["render", CORNELL, "--size", "-4x4"], "--size"),
         (["render", CORNELL, "--size", "16"], "--size: is '16'; give it as"),
         (["render", CORNELL, "--size", "99999x2"], "--size"),
+        (["render", CORNELL, "--rtol", "little"], "--rtol: is 'little'; give a relative error, as 1% or 0.01"),
+        (["render", CORNELL, "--rtol", "0"], "--rtol: is '0'; give"),
+        (["render", CORNELL, "--seconds", "-3"], "--seconds: is '-3'; give a positive number"),
+        (["render", CORNELL, "--rtol", "1%", "--spp", "4"], "--rtol: is given beside --spp; give one of them"),
         (["render", CORNELL, "--exposure", "nan"], "--exposure: is 'nan'; give"),
         (["render", CORNELL, "--method", "magic"], "path"),
         (["render", CORNELL, "--sensor", "3"], "cornell_box.xml: has 1 sensors"),

@@ -53,6 +53,7 @@ class Approach(NamedTuple):
     off: list[Discretisation]
     said: dict[str, Any]
     cut: Series | None = None
+    other: Any = None  # approach, for errors that this one does not reach
 
     @property
     def truncation(self) -> float:
@@ -74,6 +75,8 @@ class Approach(NamedTuple):
 
     def forecast(self, error: float) -> Forecast:
         """Until all views have this error."""
+        if self.other is not None and not self.reaches(error):
+            return self.other.forecast(error)
         each = [p.forecast(self.samples_error(error, k)) for k, p in enumerate(self.pilots)]
         return Forecast(error, sum(one.seconds for one in each))
 
@@ -135,7 +138,7 @@ def approach(
             for way in (by_field, by_paths)
         ]
         better, why = errors[0] < errors[1], f"foretold: {errors[0]:.2%} by field, {errors[1]:.2%} by paths"
-    return (by_field if better else by_paths)._replace(why=why)
+    return by_field._replace(why=why, other=by_paths) if better else by_paths._replace(why=why)
 
 
 def discretisation(paths: Tally, field: Tally, size: tuple[int, int]) -> Discretisation:
