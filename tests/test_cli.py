@@ -138,7 +138,7 @@ def test_definitions_fill_names_of_the_scene(run, scene):
     np.testing.assert_allclose(read_exr("b.exr")[0], 2 * read_exr("a.exr")[0], rtol=1e-5)
 
 
-def test_a_tolerance_says_what_it_costs_and_what_was_reached(run, scene, capfd):
+def test_a_tolerance_says_what_it_costs_and_what_was_reached(run, scene):
     (line,) = run("render", scene(), "--rtol", "30%", "--size", "16x16", "--method", "path", "-o", "t.exr")
     assert "asked 30.00%, below" in line and "in 95 of 100 renders" in line
     assert Path("t.exr").exists() and Path("t.png").exists()

@@ -46,7 +46,9 @@ def progress_bar() -> Iterator[Callable[[float], None] | None]:
 
 
 def tell_costs(costs: list[Forecast]) -> None:
-    """What errors will cost, on stderr."""
+    """What errors will cost, above the progress bar."""
+    if not sys.stderr.isatty():
+        return
     said = "; ".join(f"{one.error:.2%} in {span(one.seconds)}" for one in costs)
     print(f"jaxrt: foretold {said}", file=sys.stderr)
 
