@@ -29,8 +29,9 @@ class Row:
     """A setting, and what it gave.
 
     quantity: the number that the sweep turns (samples a pixel, elements, ...). seconds: of the whole call when warm.
-    compile: seconds of making programs, the first time. error: √relMSE against the reference. claimed: the error that
-    the answer itself reports; NaN where it reports none. image: (H, W, C), where the answer is a picture.
+    compile: seconds of making programs, the first time. error: √relMSE against the reference, of fields relative L2.
+    claimed: the error that the answer itself reports; NaN where it reports none. image: (H, W, C), where the answer is a
+    picture.
     """
 
     setting: str

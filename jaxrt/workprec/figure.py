@@ -83,7 +83,7 @@ def _depth(ax: Any, report: Report) -> None:
 
 
 def _fields(ax: Any, report: Report) -> None:
-    ax.set(xscale="log", yscale="log", xlabel="seconds of solving", ylabel="error on surfaces", title="field")
+    ax.set(xscale="log", yscale="log", xlabel="seconds of solving", ylabel="error on surfaces (L2)", title="field")
     for sweep in ("elements", "directions", "tolerance"):
         for curve in report.of(sweep):
             _plot(ax, curve, "seconds")
