@@ -35,7 +35,7 @@ def main() -> None:
         reports.append(work_precision(scene, file.stem, file=file, seconds=seconds, seed=SEED, **few))
         print(file.stem, flush=True)
         show(reports[-1])
-        write(reports, HERE / "results", columns=min(len(reports), 3))  # what is there so far
+        write(reports, HERE / "results", columns=3 if len(reports) > 1 else None)  # what is there so far
 
 
 if __name__ == "__main__":
