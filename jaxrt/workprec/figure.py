@@ -73,7 +73,7 @@ def _samples(ax: Any, report: Report) -> None:
         "the reference's own error", (1, report.reference.error), xycoords=("axes fraction", "data"), fontsize=7,
         ha="right", va="bottom", color=OTHER,
     )  # fmt: skip
-    ax.legend(fontsize=7, frameon=False)
+    ax.legend(fontsize=7, frameon=False, loc="lower left")
 
 
 def _depth(ax: Any, report: Report) -> None:
