@@ -31,7 +31,7 @@ def main() -> None:
     for file in args.scenes or (SCENES[:1] if args.quick else SCENES):
         scene = jaxrt.load(file)
         few = {"side": 32, "most": 256, "sweeps": ["path", "mitsuba", "depth"]} if args.quick else {}
-        seconds = 20.0 if args.quick else args.seconds
+        seconds = 40.0 if args.quick else args.seconds
         reports.append(work_precision(scene, file.stem, file=file, seconds=seconds, seed=SEED, **few))
         print(file.stem, flush=True)
         show(reports[-1])
