@@ -178,9 +178,10 @@ def test_wrong_arguments(tmp_path, capsys):
 def test_mitsuba_is_reference_and_rival(short_loops):
     """Errors against it are those that pictures claim, so it is of the same light in the same size."""
     pytest.importorskip("mitsuba")
-    file = SCENES / "veach_mis.xml"
-    stage = stage_of(jaxrt.load(file), "veach_mis", file=file, side=24, seconds=1.5, most=256)
-    assert stage.reference.by.startswith("Mitsuba 3") and stage.reference.image.shape[1] == 24
+    file, defaults = SCENES / "furnace.xml", {"rho": 0.6, "max_depth": 3}
+    scene = jaxrt.load(file, **defaults)
+    stage = stage_of(scene, "furnace", file=file, defaults=defaults, side=16, seconds=1.5, most=256)
+    assert stage.reference.by.startswith("Mitsuba 3") and stage.reference.image.shape == (16, 16, 3)
     row = stage.rendered("256", 256, 256, method="path")
     both = math.hypot(row.claimed, stage.reference.error)
     assert 0.6 < row.error / both < 1.6

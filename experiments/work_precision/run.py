@@ -31,11 +31,11 @@ def main() -> None:
     for file in args.scenes or (SCENES[:1] if args.quick else SCENES):
         scene = jaxrt.load(file)
         few = {"side": 32, "most": 256, "sweeps": ["path", "mitsuba", "depth"]} if args.quick else {}
-        seconds = 20.0 if args.quick else args.seconds
+        seconds = 40.0 if args.quick else args.seconds
         reports.append(work_precision(scene, file.stem, file=file, seconds=seconds, seed=SEED, **few))
         print(file.stem, flush=True)
         show(reports[-1])
-        write(reports, HERE / "results", columns=min(len(reports), 3))  # what is there so far
+        write(reports, HERE / "results", columns=3 if len(reports) > 1 else None)  # what is there so far
 
 
 if __name__ == "__main__":

@@ -29,8 +29,8 @@ class Row:
     """A setting, and what it gave.
 
     quantity: the number that the sweep turns (samples a pixel, elements, ...). seconds: of the whole call when warm.
-    compile: seconds of making programs, the first time. error: √relMSE against the reference. claimed: the error that
-    the answer itself reports; NaN where it reports none. image: (H, W, C), where the answer is a picture.
+    compile: seconds of making programs, the first time. error: √relMSE against the reference, of fields relative L2.
+    claimed: the error that the answer itself reports; NaN where it reports none. image: (H, W, C), of pictures.
     """
 
     setting: str
@@ -75,11 +75,14 @@ class Curve:
 
     @property
     def digit(self) -> float:
-        """How many times as long an error of a tenth takes: 10^(−1/slope); infinite where more time does not help."""
-        return 10.0 ** (-1.0 / self.slope) if self.slope < -0.05 else float("inf")
+        """How many times as much an error of a tenth takes: 10^(−1/order); infinite where more does not help.
+
+        Of the order, not of the slope against seconds: that is steeper as long as what every call takes is felt.
+        """
+        return 10.0 ** (-1.0 / self.order) if self.order < -0.05 else float("inf")
 
     def seconds_for(self, error: float) -> float:
-        """Seconds to an error, by lines in log-log, beyond the last point by the slope; NaN where it never comes."""
+        """Seconds to an error, by lines in log-log, beyond the last point by the order; NaN where it never comes."""
         rows = self.above
         if not rows:
             return float("nan")
@@ -89,9 +92,9 @@ class Curve:
             if b.error <= error:
                 share = np.log(a.error / error) / np.log(a.error / b.error)
                 return float(a.seconds * (b.seconds / a.seconds) ** share)
-        if not self.slope < -0.05:
+        if not self.order < -0.05:
             return float("nan")
-        return float(rows[-1].seconds * (rows[-1].error / error) ** (-1.0 / self.slope))
+        return float(rows[-1].seconds * (rows[-1].error / error) ** (-1.0 / self.order))
 
 
 def ladder(

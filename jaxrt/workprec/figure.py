@@ -73,7 +73,7 @@ def _samples(ax: Any, report: Report) -> None:
         "the reference's own error", (1, report.reference.error), xycoords=("axes fraction", "data"), fontsize=7,
         ha="right", va="bottom", color=OTHER,
     )  # fmt: skip
-    ax.legend(fontsize=7, frameon=False)
+    ax.legend(fontsize=7, frameon=False, loc="lower left")
 
 
 def _depth(ax: Any, report: Report) -> None:
@@ -83,7 +83,7 @@ def _depth(ax: Any, report: Report) -> None:
 
 
 def _fields(ax: Any, report: Report) -> None:
-    ax.set(xscale="log", yscale="log", xlabel="seconds of solving", ylabel="error on surfaces", title="field")
+    ax.set(xscale="log", yscale="log", xlabel="seconds of solving", ylabel="error on surfaces (L2)", title="field")
     for sweep in ("elements", "directions", "tolerance"):
         for curve in report.of(sweep):
             _plot(ax, curve, "seconds")

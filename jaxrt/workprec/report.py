@@ -22,10 +22,10 @@ SWEEPS: dict[str, tuple[Any, float]] = {
     "path": (pictures.path_sobol, 3.0),
     "mitsuba": (pictures.mitsuba, 2.0),
     "depth": (pictures.depth, 1.0),
-    "field": (pictures.field_sobol, 4.0),
+    "field": (pictures.field_sobol, 8.0),
     "independent": (pictures.path_independent, 2.0),
     "effects": (pictures.effects, 3.0),
-    "fields": (fields.fields, 4.0),
+    "fields": (fields.fields, 6.0),
     "float64": (pictures.path_double, 2.0),
 }
 """By name: what gives curves, and its share of the time."""
