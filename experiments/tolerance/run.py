@@ -85,7 +85,7 @@ def figure(found: dict[str, list[dict[str, float]]], rtol: float, file: Path) ->
     import matplotlib.pyplot as plt
 
     fig, axes = plt.subplots(figsize=(6.4, 4.2), constrained_layout=True)
-    for k, (name, rows) in enumerate(found.items()):
+    for k, (_name, rows) in enumerate(found.items()):
         claims, true = (100 * np.array([row[key] for row in rows]) for key in ("claim", "true"))
         spread = k + 0.3 * (np.arange(len(rows)) / max(len(rows) - 1, 1) - 0.5)
         axes.plot(spread, claims, "_", color="0.6", label="claimed" if k == 0 else None)
@@ -111,9 +111,7 @@ def main() -> None:
     (HERE / "results").mkdir(exist_ok=True)
     found, table = {}, []
     for file in args.scenes or (SCENES[:1] if args.quick else SCENES):
-        stage = stage_of(
-            jaxrt.load(file), file.stem, file=file, side=args.side, seconds=args.reference, most=1 << 14
-        )
+        stage = stage_of(jaxrt.load(file), file.stem, file=file, side=args.side, seconds=args.reference, most=1 << 14)
         rows = found[file.stem] = tried(stage, args.seeds, args.rtol)
         spp, seconds = best_fixed(stage, args.rtol, 0.5 * np.median([row["spp"] for row in rows]))
         column = lambda key, rows=rows: np.array([row[key] for row in rows])
