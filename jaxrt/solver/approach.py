@@ -22,8 +22,9 @@ from .tally import Tally
 from .tolerance import Forecast, Goal, Pilot, pilot
 from .work import Workers
 
-FIELD_AFTER = 10.0
-"""Seconds of work by paths from which it is tried whether a field is sooner there: it has programs of its own."""
+FIELD_AFTER, FIELD_WITHIN = 10.0, 60.0
+"""Seconds of work by paths from which it is tried whether a field is sooner there, for it has programs of its own; and
+the time that has to be left for that."""
 
 SOLVED = 1e-3
 """The tolerance to which `for_picture` solves the equation between elements."""
@@ -64,8 +65,9 @@ class Approach(NamedTuple):
 
     def samples_error(self, error: float, k: int) -> float:
         """What the samples of view k may contribute to an error."""
-        left = max(error - self.truncation, 0.0)
-        return float(np.sqrt(max(left**2 - self.off[k].below ** 2, (0.1 * error) ** 2)))
+        if not self.reaches(error):  # by then samples no longer help
+            return max(error, 0.5 * (self.off[k].below + self.truncation))
+        return float(np.sqrt((error - self.truncation) ** 2 - self.off[k].below ** 2))
 
     def whole_error(self, error: Error, k: int) -> Error:
         """The error of samples together with the others."""
@@ -113,7 +115,7 @@ def approach(
     asked = method != "auto"
     if not asked:
         method, why = choose(world, scene, int(depths.max_depth), int(paths))
-        if method == "field" and seconds < FIELD_AFTER:
+        if method == "field" and (seconds < FIELD_AFTER or goal.left < FIELD_WITHIN):
             method, why = "path", f"{seconds:.1f} s of paths are sooner there than a field is compiled and solved"
         by_paths = by_paths._replace(why=why)
     if method == "path":

@@ -56,7 +56,9 @@ def series(workers: Workers, world: World, scene: Scene, key: Any, error: float)
 def bound(world: World, scene: Scene) -> tuple[float, float] | None:
     """(ρ, ‖L⁰‖∞) if it is known that ‖KG L‖∞ ≤ ρ ‖L‖∞ with ρ < 1: where all surfaces are diffuse and of one colour."""
     plan = world.plan
-    if plan.lobes != ("diffuse",) or world.textures is not None or plan.enclosure or world.sun is not None:
+    if plan.lobes != ("diffuse",) or world.inner or world.textures is not None:
+        return None
+    if plan.enclosure or world.sun is not None:
         return None
     if not set(plan.light_kinds) or scene.lamps.shape[0]:
         return None

@@ -206,6 +206,15 @@ def test_by_a_field_its_elements_are_part_of_the_error():
     assert np.sqrt(relative_mse(sol.image, true)) < sol.error.claim
 
 
+@pytest.mark.slow
+def test_what_elements_are_too_coarse_for_is_said():
+    scene = jaxrt.resized(lit_room(), 0, 16, 16)
+    true = render(scene, 4096, 9, method="path").image
+    missed = render(scene, rtol=2e-3, method="field")  # which samples cannot reach, and that is said
+    assert missed.failed and missed.error.claim > 2e-3
+    assert np.sqrt(relative_mse(missed.image, true)) < missed.error.claim
+
+
 def test_the_series_ends_where_the_rest_is_small():
     """Of a room of one albedo ρ the rest after d edges is at most ρᵈ/(1 − ρ) of the brightest light."""
     scene = jaxrt.resized(lit_room(), 0, 16, 16)
@@ -227,3 +236,6 @@ def test_where_there_is_no_bound_the_rest_is_estimated():
     sol = render(scene, rtol=0.1)
     assert "estimated" in sol.stats["bounces"] and sol.stats["max_depth"] > 2
     assert 0 < sol.error.truncation <= 0.01
+    blend = jaxrt.Blend(jaxrt.Diffuse(0.9, id="light"), jaxrt.Diffuse(0.2, id="dark"), weight=0.5, id="both")
+    scene = box_room(blend, {"ceiling": 1.0}, sensors=[camera((0.3, -0.4, 0.2), (-0.5, 0.6, -0.7), 16, 16, 80.0)])
+    assert "estimated" in render(scene, rtol=0.2).stats["bounces"]
