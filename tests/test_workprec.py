@@ -166,7 +166,7 @@ def test_wrong_arguments(tmp_path, capsys):
     (tmp_path / "file").write_text("")
     for argv, said in (
         (["none.xml"], "none.xml: no such file"),
-        ([str(SCENES / "furnace.xml"), "--seconds", "0"], "--seconds: is '0'; give a number above 0"),
+        ([str(SCENES / "furnace.xml"), "--seconds", "0"], "--seconds: is '0'; give a positive number of seconds"),
         ([str(SCENES / "furnace.xml"), "-o", str(tmp_path / "file")], "is not a folder"),
     ):
         assert cli.main(["workprec", *argv]) == 2
