@@ -185,7 +185,7 @@ def picture(
         aside = ASIDE
         if plan.smooth_normals and straight:  # nearer than contours, by how wide both faces look
             wide = jnp.stack([across(p) for p in edge.two_points(edges.beside[jnp.minimum(j, len(edges.ends) - 1)])])
-            aside = jnp.where(j < len(edges.ends), jnp.clip(0.02 * wide.min(), 1e-5 * still.width, ASIDE), ASIDE)
+            aside = jnp.where(j < len(edges.ends), jnp.clip(0.003 * wide.min(), 1e-5 * still.width, ASIDE), ASIDE)
         jump = _beside(fixed, edges, still, depths, j, q, normal, lens, s, mirror, steps > 1, aside)
         scale = jnp.where((weight > 0) & (z > 0), weight * speed, 0.0)
         moved, _ = at(view, world, to_local, sg(t))
