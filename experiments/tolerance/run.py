@@ -67,9 +67,8 @@ def best_fixed(stage: Stage, rtol: float, start: float) -> tuple[int, float]:
             errors.append(np.sqrt(max(root_relative_mse(sol.image, stage.reference.image) ** 2 - floor**2, 0.0)))
         return float(np.mean(errors) + 1.645 * np.std(errors, ddof=1)) <= rtol, float(np.median(clock))
 
-    low, high = 4, 8
-    jaxrt.render(stage.scene, 64, 1, method="path")
-    high = max(8, int(start))
+    jaxrt.render(stage.scene, 64, 1, method="path")  # compiles
+    low, high = 4, max(8, int(start))
     while not reached(high)[0]:
         low, high = high, 2 * high
     while high > 1.05 * low + 1:

@@ -14,10 +14,10 @@ from ..compiler import seconds_spent
 from ..scene import Scene
 from ..world import World
 from .choose import choose
-from .field import for_picture
+from .field import SOLVED, for_picture
 from .path import Depths
 from .remainder import Series
-from .solution import Error
+from .solution import Error, block_means
 from .tally import Tally
 from .tolerance import Forecast, Goal, Pilot, pilot
 from .work import Workers
@@ -25,9 +25,6 @@ from .work import Workers
 FIELD_AFTER, FIELD_WITHIN = 10.0, 60.0
 """Seconds of work by paths from which it is tried whether a field is sooner there, for it has programs of its own; and
 the time that has to be left for that."""
-
-SOLVED = 1e-3
-"""The tolerance to which `for_picture` solves the equation between elements."""
 
 TURN = 4
 """Samples that follow one another in one set of a pixel where paths end in a field and their number is not known."""
@@ -147,12 +144,7 @@ def discretisation(paths: Tally, field: Tally, size: tuple[int, int]) -> Discret
     """How far a field's picture is from one by paths, of which the noise is known: by means of blocks of pixels."""
     width, height = size
     block = min(BLOCK, width, height)
-    columns, rows = width // block, height // block
-
-    def blocks(a: np.ndarray) -> np.ndarray:
-        a = a.reshape(height, width, -1)[: rows * block, : columns * block]
-        return a.reshape(rows, block, columns, block, -1).mean((1, 3), dtype=np.float64)
-
+    blocks = lambda a: block_means(a.reshape(height, width, -1), block)
     (one, noise), (other, more) = paths.found(), field.found()
     apart = (blocks(one) - blocks(other)) ** 2 - (blocks(noise) + blocks(more)) / block**2
     mean = blocks(one)

@@ -49,6 +49,9 @@ UNEVEN = 1.0
 """Direct light that falls on the wrong quarter of an element, in shares of what elements reflect on average, from which
 a cell is cut."""
 
+SOLVED = 1e-3
+"""For pictures: the tolerance to which the equation between elements is solved."""
+
 LEAST, MOST = 1 << 14, 1 << 23
 """Links of a picture's field, at least and at most: 16 bytes each where they carry a weight."""
 
@@ -300,7 +303,7 @@ def for_picture(
     rows = list(pool.map(lambda row: jax.tree.map(np.asarray, run(world, elements, seed, row)), numbers))
     links = jax.tree.map(lambda *a: np.concatenate([b[0] for b in a])[:count], *rows)
     near = np.asarray(NEAR * min(1.0, spp / NEAR_FROM) ** 2, elements.size.dtype)
-    links, rtol = jax.device_put(links), np.asarray(1e-3, near.dtype)
+    links, rtol = jax.device_put(links), np.asarray(SOLVED, near.dtype)
     solve_half = program(_half, links, np.int32(0), rtol, static=("anderson", depth, gathers == 0))
     solved = list(
         pool.map(lambda k: jax.tree.map(np.asarray, solve_half(links, k, rtol)), np.arange(2, dtype=np.int32))

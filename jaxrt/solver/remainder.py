@@ -11,6 +11,7 @@ from ..brdf import MaterialColumns
 from ..scene import Scene
 from ..world import World
 from .path import Depths
+from .solution import block_means
 from .work import Batch, Workers
 
 SHARE = 0.1
@@ -45,10 +46,10 @@ def series(workers: Workers, world: World, scene: Scene, key: Any, error: float)
         off = (whole - _small(workers, key, depth)) / scale
         rest = float(np.sqrt((off**2).mean()))
         if 2.0 * rest <= SHARE * error:  # of the few paths that go on, some that matter may be missing
-            ratio = (
-                "" if before is None or rest == 0 else f", {(rest / before[1]) ** (1 / (depth - before[0])):.2f} times"
-            )
-            return Series(depth, rest, f"estimated: what {depth} edges leave{ratio} of what one edge less does")
+            if before is None or rest == 0:
+                return Series(depth, rest, "estimated, for there is no bound")
+            falls = (rest / before[1]) ** (1 / (depth - before[0]))
+            return Series(depth, rest, f"estimated, for there is no bound: the rest falls to {falls:.2f} an edge")
         before = depth, rest
     return Series(-1, 0.0, "the series falls too slowly to be cut; paths end by roulette")
 
@@ -71,7 +72,7 @@ def bound(world: World, scene: Scene) -> tuple[float, float] | None:
 
 def _small(workers: Workers, key: Any, depth: int) -> np.ndarray:
     """A small picture of so many edges, in blocks; of all depths by the same paths."""
-    _, view, depths = workers.args
+    view, depths = workers.view, workers.depths
     width, height = workers.size
     scale = min(1.0, SIDE / max(width, height))
     size = [max(1, round(scale * side)) for side in (width, height)]
@@ -79,7 +80,4 @@ def _small(workers: Workers, key: Any, depth: int) -> np.ndarray:
     few = workers.seeing(view, Depths(np.int32(depth), depths.rr_depth, depths.hide_emitters))
     tally = few.tally(key)
     few.take(tally, [Batch(few.n, 0, SPP)])
-    mean = tally.found()[0].reshape(size[1], size[0], -1).astype(np.float64)
-    side = min(4, *size)
-    rows, columns = size[1] // side, size[0] // side
-    return mean[: rows * side, : columns * side].reshape(rows, side, columns, side, -1).mean((1, 3))
+    return block_means(tally.found()[0].reshape(size[1], size[0], -1), min(4, *size))

@@ -22,16 +22,17 @@ from ..scene import Scene, in_working_precision
 from ..world import World, prepared
 from . import path
 from .aov import aovs, checked
-from .approach import SOLVED, Approach, approach, costs, timed_field
+from .approach import Approach, approach, costs, timed_field
 from .begin import Picture
 from .choose import choose
+from .field import SOLVED
 from .lamps import TAKES, borders
-from .measure import depths_of, lanes_of, seen_by, view_of
+from .measure import PASS, depths_of, lanes_of, seen_by, view_of
 from .remainder import Series, series
 from .solution import Solution, solution_of
 from .tally import Tally
 from .tolerance import Forecast, Goal, reach
-from .work import PASS, PIXELS, SAMPLES, Batch, Workers, lanes_for, machine_memory, missing
+from .work import PIXELS, SAMPLES, Batch, Workers, lanes_for, machine_memory, missing
 
 
 def resized(scene: Scene, sensor: int, width: int, height: int) -> Scene:
@@ -102,7 +103,8 @@ def render(  # pyright: ignore[reportInconsistentOverload]  # options are those 
     goal = _goal(spp, rtol, seconds)
     sensors = [sensor] if isinstance(sensor, (int, np.integer)) else list(sensor)
     spp = scene.structure.asked().spp if spp is None else spp
-    job = _job(scene, spp, seed, method, max_depth, rr_depth, sensors, plan, chunk, memory, sampler, goal is not None)
+    exact = goal is not None
+    job = _job(scene, spp, seed, sensors, exact, method, max_depth, rr_depth, plan, chunk, memory, sampler)
     names = checked(scene.structure.asked().aovs if aov is None else aov, job.views)
     with ThreadPoolExecutor(cores()) as pool:
         way = job.fixed(pool) if goal is None else job.approach(pool, goal, max_depth is None)
@@ -124,7 +126,7 @@ def render(  # pyright: ignore[reportInconsistentOverload]  # options are those 
             now, made = time.perf_counter(), seconds_spent() - spent
             sol.stats |= {
                 "spp": job.spp if goal is None else round(float(sol.spp.mean()), 1),
-                "max_depth": int(workers.args[2].max_depth),
+                "max_depth": int(workers.depths.max_depth),
                 "threads": cores(),
                 "seconds_compile": made,
                 "seconds_solve": seconds_solve,
@@ -168,19 +170,12 @@ def forecast(scene: Scene, rtol: float, seed: Any = 0, *, sensor: int = 0, **opt
     """
     goal = _goal(None, rtol, None)
     assert goal is not None
-    given = _OPTIONS | options
     with ThreadPoolExecutor(cores()) as pool:
-        job = _job(scene, 1, seed, **given, sensors=[sensor], exact=True)
-        way = job.approach(pool, goal, given["max_depth"] is None)
+        job = _job(scene, 1, seed, [sensor], True, **options)
+        way = job.approach(pool, goal, options.get("max_depth") is None)
         spent = sum((p.even.samples + p.tally.samples) * p.rate for p in way.pilots)
         told = [one._replace(seconds=one.seconds + spent) for one in costs(way, rtol)]
         return Prospect(told, way.method, way.why, job.bounces(way))
-
-
-_OPTIONS: dict[str, Any] = {
-    "method": "auto", "max_depth": None, "rr_depth": None, "plan": None, "chunk": None, "memory": None,
-    "sampler": "sobol",
-}  # fmt: skip
 
 
 def _goal(spp: Any, rtol: Any, seconds: Any) -> Goal | None:
@@ -275,8 +270,7 @@ class _Job(NamedTuple):
     def take(self, workers: Workers, tell: Callable[[float], None] | None) -> Tally:
         """So many samples of each pixel, and several times as many where the border of a lamp goes through it."""
         n, spp = workers.n, self.spp
-        hide = bool(seen_by(workers.view, self.depths).hide_emitters)
-        edges = np.zeros(0, np.int32) if hide else borders(self.world, workers.view)
+        edges = np.zeros(0, np.int32) if workers.depths.hide_emitters else borders(self.world, workers.view)
         tally = workers.tally(self.key, exact=spp > PASS)
         work = [Batch(n, first, min(first + PASS, spp)) for first in range(0, spp, PASS)]
         if len(edges):
@@ -291,8 +285,9 @@ class _Job(NamedTuple):
 
 
 def _job(
-    scene: Scene, spp: Any, seed: Any, method: str, max_depth: int | None, rr_depth: int | None, sensors: list[int],
-    plan: Plan | None, chunk: int | None, memory: float | None, sampler: str, exact: bool,
+    scene: Scene, spp: Any, seed: Any, sensors: list[int], exact: bool, method: str = "auto",
+    max_depth: int | None = None, rr_depth: int | None = None, plan: Plan | None = None, chunk: int | None = None,
+    memory: float | None = None, sampler: str = "sobol",
 ) -> _Job:  # fmt: skip
     if method not in ("auto", "path", "field"):
         raise SceneError(f"method: {method!r} is not known; give auto, path or field")

@@ -48,6 +48,13 @@ def _pooled(v: np.ndarray, axis: int) -> np.ndarray:
     return np.moveaxis(v, 0, axis)
 
 
+def block_means(image: np.ndarray, side: int) -> np.ndarray:
+    """Means of blocks of so many pixels a side, (H // side, W // side, C) float64; what fills no block is left out."""
+    rows, columns = image.shape[0] // side, image.shape[1] // side
+    whole = image[: rows * side, : columns * side].reshape(rows, side, columns, side, -1)
+    return whole.mean((1, 3), dtype=np.float64)
+
+
 def relative_mse(image: Any, reference: Any) -> float:
     """mean((I − R)²/(R² + ε)), ε = 0.01 mean(R²): the one error measure of the project; its root is relative."""
     image, reference = np.asarray(image, np.float64), np.asarray(reference, np.float64)

@@ -55,11 +55,13 @@ class Forecast(NamedTuple):
 
 class Pilot(NamedTuple):
     """What a picture begins with: a tally with as many samples for all pixels; the one to go on with, the samples of
-    each of its pixels in shares of the average, seconds that a sample took, and how steeply the squared error falls."""
+    each of its pixels in shares of the average, the error expected of it, seconds that a sample took, and how steeply
+    the squared error falls."""
 
     even: Tally
     tally: Tally
     each: np.ndarray
+    expected: float
     rate: float
     steep: float = STEEP
 
@@ -69,7 +71,7 @@ class Pilot(NamedTuple):
 
     def samples(self, error: float) -> float:
         """How many for each pixel, on average, bring the claim down to this error."""
-        return self.mean * max((_expected(self.tally) / error) ** (2.0 / self.steep), 1.0) if error > 0 else np.inf
+        return self.mean * max((self.expected / error) ** (2.0 / self.steep), 1.0) if error > 0 else np.inf
 
     def forecast(self, error: float) -> Forecast:
         return Forecast(error, (self.samples(error) - self.mean) * len(self.each) * self.rate)
@@ -77,7 +79,7 @@ class Pilot(NamedTuple):
     def claim_after(self, seconds: float, off: float = 0.0) -> float:
         """The error that samples of so many more seconds leave, with that of something else."""
         times = 1.0 + max(seconds, 0.0) / (self.rate * self.tally.samples)
-        return float(np.hypot(_expected(self.tally) * times ** (-self.steep / 2), off))
+        return float(np.hypot(self.expected * times ** (-self.steep / 2), off))
 
 
 def _claim(tally: Tally) -> float:
@@ -110,16 +112,18 @@ def pilot(workers: Workers, key: Any, goal: Goal) -> Pilot:
     _take(workers, even, np.full(workers.n, many))
     shares, rate = even.relative_variances(), speed()
     if statistical(shares)[1] <= goal.error or goal.left < MORE * rate * even.samples:
-        return Pilot(even, even, np.ones(workers.n), rate)
+        return Pilot(even, even, np.ones(workers.n), _expected(even), rate)
     each = allotted(pooled(pooled(shares.reshape(workers.size[::-1]))).ravel())  # one pixel's four sets say little
     tally, began, steep = workers.tally(key), time.perf_counter(), STEEP
     _take(workers, tally, _rounded(tally, each * many))
+    expected = _expected(tally)
     if many == PILOT and _claim(tally) > goal.error:
-        before = _expected(tally), tally.samples
+        before = expected, tally.samples
         _take(workers, tally, _rounded(tally, each * 2 * many))
-        measured = 2 * np.log(before[0] / _expected(tally)) / np.log(tally.samples / before[1])
+        expected = _expected(tally)
+        measured = 2 * np.log(before[0] / expected) / np.log(tally.samples / before[1])
         steep = float(np.clip(0.5 * (STEEP + measured), 1.0, 1.4))
-    return Pilot(even, tally, each, (time.perf_counter() - began) / tally.samples, steep)
+    return Pilot(even, tally, each, expected, (time.perf_counter() - began) / tally.samples, steep)
 
 
 def reach(workers: Workers, goal: Goal, begun: Pilot, tell: Callable[[float], None] | None) -> Tally:
@@ -129,7 +133,8 @@ def reach(workers: Workers, goal: Goal, begun: Pilot, tell: Callable[[float], No
     """
     n, tally, rate, total = workers.n, begun.tally, begun.rate, begun.samples(goal.error)
     started, budget, before = time.perf_counter(), goal.left, tally.samples
-    while _claim(tally) > goal.error:
+    claim = _claim(tally)
+    while claim > goal.error:
         mean, room = tally.samples / n, goal.left / (rate * n)
         if room < 1.0 or goal.left < 0.02 * budget:
             break
@@ -145,7 +150,8 @@ def reach(workers: Workers, goal: Goal, begun: Pilot, tell: Callable[[float], No
 
         _take(workers, tally, _rounded(tally, begun.each * target), lambda: goal.left < 0, over)
         rate = (time.perf_counter() - started) / max(tally.samples - before, 1)
-        total = np.inf if goal.error == 0 else tally.samples / n * max((_claim(tally) / goal.error) ** 1.8, 1.03)
+        claim = _claim(tally)
+        total = np.inf if goal.error == 0 else tally.samples / n * max((claim / goal.error) ** 1.8, 1.03)
     return tally
 
 

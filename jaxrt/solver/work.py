@@ -17,6 +17,7 @@ from ..sampling.independent import SAMPLERS
 from ..world import World
 from . import path
 from .begin import Picture
+from .measure import PASS
 from .tally import Tally
 
 FEW_SAMPLES, ROWS = 64, 16
@@ -24,9 +25,6 @@ FEW_SAMPLES, ROWS = 64, 16
 
 SAMPLES, PIXELS = 32, 8
 """Samples that a lane should take at least, of so many pixels at most: it ends with the longest of all lanes."""
-
-PASS = 256
-"""Samples a pixel that are summed plainly; sums of passes are more exact."""
 
 LANE_BYTES = 4096
 """What a lane holds while it works, at most: its state, and what a bounce computes for it."""
@@ -107,7 +105,7 @@ class Workers:
         tones: np.ndarray | None, sampler: str = "sobol",
     ) -> None:  # fmt: skip
         self.view, self.field, self.pool, self.lanes, self.pixels, self.tones = view, field, pool, lanes, pixels, tones
-        self.args, self.sampler = (world, view, depths), sampler
+        self.depths, self.args, self.sampler = depths, (world, view, depths), sampler
         self.size = int(view.width), int(view.height)
         self.n = self.size[0] * self.size[1]
         self.channels = world.plan.channels if tones is None else 1
@@ -183,4 +181,4 @@ class Workers:
                 yield batch, int(start), min(int(end), batch.count)
 
 
-__all__ = ["PASS", "PIXELS", "SAMPLES", "Batch", "Workers", "lanes_for", "machine_memory", "missing", "tiled"]
+__all__ = ["PIXELS", "SAMPLES", "Batch", "Workers", "lanes_for", "machine_memory", "missing", "tiled"]
