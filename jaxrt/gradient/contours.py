@@ -24,7 +24,7 @@ from ..texture import _row
 from ..vector import Vec3, cross, dot, length, normalise, safe_sqrt
 from ..world import World
 from .curves import corners
-from .edges import CANDIDATES, pick, sums_of
+from .edges import CANDIDATES, candidates, pick, sums_of
 
 
 class Contour(eqx.Module):
@@ -127,10 +127,7 @@ def choose(world: World, x: Vec3, n: Vec3 | None, s: Any, every: bool = False) -
     if total > CANDIDATES and not every:
         area = cross(*(Vec3(*world.geometry[:total, k : k + 3].T) for k in (3, 6)))
         chance = length(area) * jnp.any(world.faces[:total, FACE["extra"] : FACE["extra"] + 9] != 0, -1)
-        chance = chance / jnp.maximum(chance.sum(), 1e-30)
-        places = (jnp.arange(CANDIDATES) + s.pair_at(1)[0]) / CANDIDATES
-        numbers = jnp.clip(jnp.searchsorted(jnp.cumsum(chance), places, side="right"), 0, total - 1)
-        scale = 1.0 / (jnp.maximum(chance[numbers], 1e-30) * CANDIDATES)
+        numbers, scale = candidates(chance / jnp.maximum(chance.sum(), 1e-30), s.pair_at(1)[0])
 
     def weigh(face: Any, scale: Any) -> Any:
         lines, (o, a, b) = _Lines.of(world, face, x), corners(world, face)

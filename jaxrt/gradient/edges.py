@@ -291,6 +291,13 @@ def sums_of(weights: Any) -> Any:
     return jnp.dot(weights, jnp.asarray(np.triu(np.ones((n, n))), weights.dtype), precision="highest")
 
 
+def candidates(chance: Any, u: Any) -> tuple[Any, Any]:
+    """Numbers of `CANDIDATES` of those with such chances, evenly drawn, and the inverse of how often each is meant."""
+    at = (jnp.arange(CANDIDATES) + u) / CANDIDATES
+    numbers = jnp.clip(jnp.searchsorted(jnp.cumsum(chance), at, side="right"), 0, len(chance) - 1)
+    return numbers, 1.0 / (jnp.maximum(chance[numbers], 1e-30) * CANDIDATES)
+
+
 def pick(sums: Any, u: Any) -> Any:
     """The number of a weight, by the running sums of all."""
     return jnp.minimum(jnp.sum(sums <= u * sums[-1]), len(sums) - 1)

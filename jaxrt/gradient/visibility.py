@@ -34,7 +34,7 @@ from ..vector import Spectrum, Vec3, cross, dot, length, normalise, where
 from ..world import FEW_LIGHTS, World
 from . import contours, curves, material
 from . import edges as edge
-from .edges import CANDIDATES, Edges, pick, sums_of
+from .edges import CANDIDATES, Edges, candidates, pick, sums_of
 from .outline import FLAT, Outline
 
 
@@ -91,10 +91,7 @@ def choose(
     if total <= CANDIDATES:
         numbers, scale = jnp.arange(total), jnp.ones(total, world.faces.dtype)
     else:
-        chance = edges.chance
-        at = (jnp.arange(CANDIDATES) + s.pair_at(1)[0]) / CANDIDATES
-        numbers = jnp.clip(jnp.searchsorted(jnp.cumsum(chance), at, side="right"), 0, total - 1)
-        scale = 1.0 / (jnp.maximum(chance[numbers], 1e-30) * CANDIDATES)
+        numbers, scale = candidates(edges.chance, s.pair_at(1)[0])
     cones = [[cone], [cone, toward]][: 2 if toward is not None else 1]
 
     def weigh(j: Any, scale: Any) -> list[Any]:

@@ -25,7 +25,7 @@ from ..surface import SurfacePoint, radiance_of, surface_point
 from ..vector import Vec3, dot
 from ..world import World, prepared
 from .curve import Curve, Row, ladder
-from .pictures import Until
+from .pictures import Until, has_field
 from .stage import SEED, Stage
 
 ELEMENTS, DIRECTIONS, TOLERANCES = (64, 256, 1024, 4096), (16, 64, 256, 1024), (0.3, 0.1, 1e-2, 1e-3, 1e-4)
@@ -105,8 +105,7 @@ def solved(on: OnSurfaces, setting: str, quantity: str | float, **options: Any) 
 
 
 def fields(stage: Stage, until: Until) -> Iterator[Curve]:
-    plan = make_plan(stage.scene, free=None)
-    if not plan.bounces or plan.instances or "diffuse" not in plan.lobes:
+    if not has_field(stage):
         return
     try:
         on = OnSurfaces(stage.scene, stage.most)

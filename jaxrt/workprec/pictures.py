@@ -36,9 +36,14 @@ def path_independent(stage: Stage, until: Until) -> Iterator[Curve]:
     yield _by_samples(stage, "path, independent", until, "path", "independent")
 
 
-def field_sobol(stage: Stage, until: Until) -> Iterator[Curve]:
+def has_field(stage: Stage) -> bool:
+    """Whether there is light to store on elements of the scene."""
     plan = make_plan(stage.scene, free=None)
-    if plan.bounces and not plan.instances and "diffuse" in plan.lobes:
+    return plan.bounces and not plan.instances and "diffuse" in plan.lobes
+
+
+def field_sobol(stage: Stage, until: Until) -> Iterator[Curve]:
+    if has_field(stage):
         yield _by_samples(stage, "field, Sobol", until, "field", "sobol", 4)
 
 
