@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 from pathlib import Path
 from typing import Any
@@ -10,7 +9,7 @@ from typing import Any
 import jax
 import numpy as np
 import optimistix
-from peer import circumstances
+from peer import results_of
 
 import jaxrt
 from jaxrt.files.image import to_srgb
@@ -52,21 +51,18 @@ def keeper(name: str, shape: tuple[int, ...], steps: int, frames: dict[str, Any]
 
 def write(
     folder: Path,
-    name: str,
     seed: int,
     numbers: dict[str, Any],
     curves: dict[str, tuple[Any, Any]],
     strip: dict[str, Any],
 ) -> None:
-    """Writes results/{name}.json and .png: a strip of pictures (radiance, or sRGB in bytes), and curves of loss."""
+    """Writes .json and .png to results/, by the folder's name: pictures (radiance, or sRGB in bytes), curves of loss."""
     import matplotlib
 
     matplotlib.use("Agg")
     import matplotlib.pyplot as plt
 
-    results = folder / "results"
-    results.mkdir(exist_ok=True)
-    (results / f"{name}.json").write_text(json.dumps(numbers | circumstances(seed), indent=1, default=float))
+    results = results_of(folder, seed, **numbers)
     fig = plt.figure(figsize=(2.1 * max(len(strip), 3), 4.8), layout="constrained")
     above, below = fig.subfigures(2, 1, height_ratios=(1, 1.1))
     for ax, (title, image) in zip(np.atleast_1d(above.subplots(1, len(strip))), strip.items(), strict=True):
@@ -79,5 +75,5 @@ def write(
         ax.plot(x, np.abs(y), lw=1, label=label)
     ax.set(xlabel="seconds, compiling included", yscale="log")
     ax.legend(fontsize=8)
-    fig.savefig(results / f"{name}.png", dpi=130)
+    fig.savefig(results / f"{folder.name}.png", dpi=130)
     plt.close(fig)

@@ -69,7 +69,7 @@ def main() -> None:
     best = min(table, key=lambda k: table[k]["error"])
     shown = {"start": jaxrt.render(start, spp=64, method="path").image, "target": target}
     numbers = {"side": side, "spp": spp, "reference spp": reference, "methods": table}
-    fits.write(HERE, "adam_or_lm", SEED, numbers, curves, shown)
+    fits.write(HERE, SEED, numbers, curves, shown)
     print(f"least error: {best}, {table[best]['error']:.4f} after {table[best]['seconds']:.1f} s of steps")
 
 

@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import argparse
 import csv
-import json
 import sys
 import time
 from pathlib import Path
@@ -22,7 +21,7 @@ from typing import Any
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parent.parent))
-from peer import circumstances
+from peer import results_of
 
 import jaxrt
 from jaxrt.effects.costs import SAMPLES, SIDE, Cost
@@ -53,7 +52,7 @@ def clock(scene: Any, cost: Cost, repeat: int) -> tuple[float, float, float]:
     return min(times[0][1:]), min(times[1][1:]), noise
 
 
-def draw(table: dict[str, dict[str, tuple[Cost, float]]], names: list[str]) -> None:
+def draw(table: dict[str, dict[str, tuple[Cost, float]]], names: list[str], file: Path) -> None:
     import matplotlib
 
     matplotlib.use("Agg")
@@ -84,7 +83,7 @@ def draw(table: dict[str, dict[str, tuple[Cost, float]]], names: list[str]) -> N
     right.set_yscale("symlog", linthresh=10)
     right.set(xlabel="% of a picture, by the table", ylabel="% by a clock")
     right.set_title("table and clock", fontsize=9)
-    fig.savefig(HERE / "results" / "effect_cost.png", dpi=150)
+    fig.savefig(file, dpi=150)
 
 
 def main() -> None:
@@ -98,11 +97,10 @@ def main() -> None:
     used = set().union(*(jaxrt.plan(scene, free=None).effects for scene in scenes.values()))
     names = [n for n in EFFECTS if (n in QUICK if args.quick else args.all or n in used)]
 
-    (HERE / "results").mkdir(exist_ok=True)
-    (HERE / "results" / "effect_cost.json").write_text(json.dumps(circumstances(SEED), indent=1))
+    results = results_of(HERE, SEED)
     table: dict[str, dict[str, tuple[Cost, float]]] = {}
     agree = compared = 0
-    with (HERE / "results" / "effect_cost.csv").open("w", newline="") as file:
+    with (results / "effect_cost.csv").open("w", newline="") as file:
         rows = csv.writer(file)
         rows.writerow(["scene", "effect", "in", "without s", "with s", "noise s", "share", "ns a ray", "compile s",
                        "radiance", "clock without s", "clock with s", "clock noise s"])  # fmt: skip
@@ -123,7 +121,7 @@ def main() -> None:
                 print(f"{stem:<14} {cost.name:<22} {cost.share:+7.1%} of a picture ({cost.ns_a_ray:+7.2f} ns a ray), "
                       f"by a clock {by_clock:+7.1%}: {told}", flush=True)  # fmt: skip
     print(f"table and clock are of one order of magnitude in {agree} of {compared} cases above the noise")
-    draw(table, [n for n in names if any(n in of for of in table.values())])
+    draw(table, [n for n in names if any(n in of for of in table.values())], results / "effect_cost.png")
 
 
 if __name__ == "__main__":

@@ -5,7 +5,7 @@
 Efficiency is 1/(relMSE · seconds), relMSE = mean((I − R)²/(R² + ε)) with ε = 0.01 mean(R²) and the noise of R taken
 off. Everything is warm and at equal max_depth; seconds are those of a whole call, the field's solve among them. From
 errors at growing numbers of samples comes the time for relMSE 1e-2, 1e-3 and 1e-4, by lines in log-log (beyond the
-last point with its slope). Writes results/efficiency.csv and .png.
+last point with its slope). Writes results/efficiency.csv, .png and .json (machine, versions).
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parent.parent))
-from peer import load_mitsuba
+from peer import load_mitsuba, results_of
 
 import jaxrt
 
@@ -100,8 +100,8 @@ def main() -> None:
             said = ", ".join(f"{1 / (lv * t):9.0f}" for lv, t in zip(LEVELS, times, strict=True))
             print(f"{file.stem:14} {name:22} efficiency at 1e-2, 1e-3, 1e-4: {said}", flush=True)
 
-    (HERE / "results").mkdir(exist_ok=True)
-    with (HERE / "results" / "efficiency.csv").open("w", newline="") as out:
+    results = results_of(HERE)
+    with (results / "efficiency.csv").open("w", newline="") as out:
         writer = csv.writer(out)
         writer.writerow(["scene", "method", *(f"seconds to relMSE {lv:g}" for lv in LEVELS)])
         writer.writerows(table)
@@ -116,7 +116,7 @@ def main() -> None:
             ax.loglog([r[1] for r in rows], [r[2] for r in rows], "o-", label=label, lw=2 if "jaxrt" in label else 1)
         ax.set(title=name, xlabel="seconds", ylabel="relMSE")
     axes[0][0].legend()
-    fig.savefig(HERE / "results" / "efficiency.png", dpi=150)
+    fig.savefig(results / "efficiency.png", dpi=150)
 
 
 def _with_sampler(mi: Any, sensor: Any, sampler: Any, size: int) -> dict[str, Any]:

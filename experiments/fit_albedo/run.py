@@ -51,7 +51,7 @@ def main() -> None:
     for name in NAMES:
         curves[f"error of {name}"] = fit.history["seconds"], np.abs(fit.history[name] - truth[name]).max(1)
     shown = fits.on_the_way(start, fit) | {"target": target}
-    fits.write(HERE, "fit_albedo", SEED, numbers, curves, shown)
+    fits.write(HERE, SEED, numbers, curves, shown)
     print(
         f"{3 * len(NAMES)} reflectances within {worst:.4f} of the truth after {len(fit.history['step'])} steps and "
         f"{fit.seconds:.1f} s, of which {fit.history['seconds'][0]:.1f} s to the end of the first step (compiling); "

@@ -80,7 +80,7 @@ def main() -> None:
     }  # fmt: skip
     curves = {"loss": (fit.history["seconds"], fit.history["loss"])}
     shown = frames | {"truth": truth, "target": target}
-    fits.write(HERE, "fit_environment", SEED, numbers, curves, shown)
+    fits.write(HERE, SEED, numbers, curves, shown)
     rms = lambda name: 100 * numbers[f"relMSE of {name}"] ** 0.5
     print(
         f"{truth.size} numbers of a sky after {steps} steps and {fit.seconds:.1f} s: other balls under it are within "

@@ -74,7 +74,7 @@ def main() -> None:
     curves = {"loss": (seconds, fit.history["loss"]), "distance": (seconds, off)}
     way = fits.on_the_way(start, fit, reference // 4, max_depth=DEPTH)
     shown: dict[str, Any] = {title: 0.5 + 10 * (image - target) for title, image in way.items()}
-    fits.write(HERE, "fit_hidden", SEED, numbers, curves, {"target": target} | shown)
+    fits.write(HERE, SEED, numbers, curves, {"target": target} | shown)
     print(
         f"the hidden cube within {off[-1]:.3f} of its place ({100 * off[-1] / ROOM:.2f} % of the room) after "
         f"{len(seconds)} steps and {fit.seconds:.1f} s, of which {seconds[0]:.1f} s to the end of the first step "

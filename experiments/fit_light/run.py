@@ -56,7 +56,7 @@ def main() -> None:
     }  # fmt: skip
     curves = {"loss": (seconds, fit.history["loss"]), "distance / room": (seconds, off), "power": (seconds, power)}
     shown = fits.on_the_way(start, fit, 256, max_depth=DEPTH) | {"target": target}
-    fits.write(HERE, "fit_light", SEED, numbers, curves, shown)
+    fits.write(HERE, SEED, numbers, curves, shown)
     print(
         f"the lamp's place within {100 * off[-1]:.2f} % of the room and its power within {100 * power[-1]:.2f} % after "
         f"{len(seconds)} steps and {fit.seconds:.1f} s, of which {seconds[0]:.1f} s to the end of the first step "

@@ -98,7 +98,7 @@ def main() -> None:
         title: shoot(jaxrt.with_params(start, {NAME: place}), 0, 256) for title, place in places.items()
     } | {f"target {k}": targets[k] for k in sensors[:2]}  # fmt: skip
     curves = {"loss": (seconds, fit.history["loss"])}
-    fits.write(HERE, "fit_mesh", SEED, numbers, curves, shown)
+    fits.write(HERE, SEED, numbers, curves, shown)
     print(
         f"{len(vertices)} vertices within {after.mean():.4f} of the target's surface in the mean, {after.max():.3f} at "
         f"most (once {before.mean():.3f} and {before.max():.3f}), after {steps} steps and {fit.seconds:.1f} s, of "

@@ -76,7 +76,7 @@ def main() -> None:
         "distance / size": (seconds, way[:, 0]), "degrees": (seconds, way[:, 1]),
     }  # fmt: skip
     shown = fits.on_the_way(start, fit, 256, max_depth=DEPTH) | {"target": target}
-    fits.write(HERE, "fit_pose", SEED, numbers, curves, shown)
+    fits.write(HERE, SEED, numbers, curves, shown)
     print(
         f"the box's middle within {100 * off[0]:.2f} % of its size and its turn within {off[1]:.2f}° after "
         f"{len(seconds)} steps and {fit.seconds:.1f} s, of which {seconds[0]:.1f} s to the end of the first step "

@@ -88,7 +88,7 @@ def main() -> None:
         "loss, a quarter of the pixels a step": (some.history["seconds"], some.history["loss"]),
     }
     shown = {k: (255 * np.clip(v, 0, 1)).astype(np.uint8) for k, v in (frames | {"truth": truth}).items()}
-    fits.write(HERE, "fit_texture", SEED, numbers, curves, shown | {"target": target})
+    fits.write(HERE, SEED, numbers, curves, shown | {"target": target})
     print(
         f"{3 * n * n} numbers of a texture: rms error {off(fit):.4f} after {steps} steps and {fit.seconds:.1f} s "
         f"({fit.history['seconds'][0]:.1f} s of them for the first), from {numbers['rms error at the start']:.3f}; "

@@ -3,13 +3,15 @@
     python experiments/fixed_point/cost.py [--quick]
 
 The Cornell box at its fixed point, warm, the best of three: links sampled and solved, elements given. Bytes
-are those that XLA plans for: arguments, results and what it keeps in between. Writes results/cost.csv and .png.
+are those that XLA plans for: arguments, results and what it keeps in between. Writes results/cost.csv,
+.png and .json (machine, versions).
 """
 
 from __future__ import annotations
 
 import argparse
 import csv
+import sys
 import time
 from pathlib import Path
 
@@ -20,6 +22,9 @@ import numpy as np
 
 import jaxrt
 from jaxrt.solver import field
+
+sys.path.insert(0, str(Path(__file__).parent.parent))
+from peer import results_of
 
 matplotlib.use("Agg")
 HERE = Path(__file__).parent
@@ -63,8 +68,8 @@ def main() -> None:
     links = table[:, 0] * table[:, 1]
     slopes = [np.polyfit(np.log(links), np.log(table[:, k]), 1)[0] for k in (2, 3)]
     print(f"seconds grow as links^{slopes[0]:.2f}, bytes as links^{slopes[1]:.2f}")
-    (HERE / "results").mkdir(exist_ok=True)
-    with (HERE / "results" / "cost.csv").open("w", newline="") as out:
+    results = results_of(HERE, name="cost")
+    with (results / "cost.csv").open("w", newline="") as out:
         csv.writer(out).writerows([["elements", "directions", "seconds", "bytes"], *rows])
     fig, axes = plt.subplots(1, 2, figsize=(9, 4), layout="constrained")
     for ax, column, name in zip(axes, (2, 3), ("seconds", "bytes"), strict=True):
@@ -72,7 +77,7 @@ def main() -> None:
         ax.loglog(links, table[0, column] * links / links[0], ":", label="linear")
         ax.set(xlabel="elements · directions", ylabel=name)
     axes[0].legend()
-    fig.savefig(HERE / "results" / "cost.png", dpi=150)
+    fig.savefig(results / "cost.png", dpi=150)
 
 
 if __name__ == "__main__":

@@ -8,13 +8,15 @@
 3. spectrum.png: eigenvalues of T of the cube and of the three channels of the Cornell box: those of KG on elements.
 4. field.png: the radiance on the walls of the Cornell box, unfolded, as its elements store it, and by the path method.
 
-Numbers go to results/*.csv. Everything is computed in float64, so that rounding does not hide convergence.
+Numbers go to results/*.csv, machine and versions to results/fixed_point.json. Everything is computed in float64, so
+that rounding does not hide convergence.
 """
 
 from __future__ import annotations
 
 import argparse
 import csv
+import sys
 import time
 from pathlib import Path
 from typing import Any
@@ -30,11 +32,13 @@ from jaxrt.files.image import to_srgb
 from jaxrt.solver.equilibrium import SOLVERS, residual_bound, solve_links
 from jaxrt.solver.field import links_of
 
+sys.path.insert(0, str(Path(__file__).parent.parent))
+from peer import results_of
+
 jax.config.update("jax_enable_x64", True)
 matplotlib.use("Agg")
 
 HERE = Path(__file__).parent
-RESULTS = HERE / "results"
 SCENES = HERE.parent.parent / "scenes"
 
 
@@ -188,10 +192,10 @@ def pictures(quick: bool) -> None:
 
 
 def save(fig: Any, name: str, header: list[str], rows: list[Any]) -> None:
-    RESULTS.mkdir(exist_ok=True)
-    fig.savefig(RESULTS / f"{name}.png", dpi=150)
+    results = results_of(HERE)
+    fig.savefig(results / f"{name}.png", dpi=150)
     plt.close(fig)
-    with (RESULTS / f"{name}.csv").open("w", newline="") as out:
+    with (results / f"{name}.csv").open("w", newline="") as out:
         csv.writer(out).writerows([header, *rows])
 
 

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import argparse
 import csv
-import json
 import sys
 import time
 from pathlib import Path
@@ -22,7 +21,7 @@ import jax
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parent.parent))
-from peer import circumstances
+from peer import results_of
 from stages import Motion, motions
 
 import jaxrt
@@ -115,15 +114,12 @@ def main() -> None:
             f"differences {found['noise']:.4f}; {found['seconds']:.2f} s, without {found['seconds_without']:.2f} s",
             flush=True,
         )
-    results = HERE / "results"
-    results.mkdir(exist_ok=True)
+    results = results_of(HERE, SEED, res=res, spp=spp, reference_spp=reference)
     columns = ["error", "without", "noise", "seconds", "seconds_without"]
     with open(results / "gradient_check.csv", "w", newline="") as file:
         writer = csv.writer(file)
         writer.writerow(["motion", *columns])
         writer.writerows([name, *(found[c] for c in columns)] for name, found in rows)
-    about = circumstances(SEED) | {"res": res, "spp": spp}
-    (results / "gradient_check.json").write_text(json.dumps(about | {"reference_spp": reference}, indent=1))
     draw(rows, results / "gradient_check.png")
 
 

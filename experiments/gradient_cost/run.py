@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import argparse
 import csv
-import json
 import resource
 import subprocess
 import sys
@@ -27,7 +26,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parent.parent))
 from fits import use_cores
-from peer import circumstances, load_mitsuba
+from peer import load_mitsuba, results_of
 
 import jaxrt
 
@@ -138,15 +137,12 @@ def main() -> None:
         megabytes = peak([str(res if args.quick else 128), str(samples), str(depth), "reverse"])
         rows.append({"way": "reverse, memory", "depth": depth, "spp": samples, "megabytes": megabytes})
         print(f"depth {depth:2} spp {samples:5} peak {megabytes:.0f} MB", flush=True)
-    results = HERE / "results"
-    results.mkdir(exist_ok=True)
+    mitsuba = getattr(peer[0], "__version__", None) if peer else None
+    results = results_of(HERE, SEED, res=res, spp=spp, mitsuba=mitsuba)
     with open(results / "gradient_cost.csv", "w", newline="") as file:
         writer = csv.DictWriter(file, ["way", "depth", "spp", "seconds", "first", "noise", "megabytes"])
         writer.writeheader()
         writer.writerows(rows)
-    about = circumstances(SEED) | {"res": res, "spp": spp}
-    about |= {"mitsuba": getattr(peer[0], "__version__", None) if peer else None}
-    (results / "gradient_cost.json").write_text(json.dumps(about, indent=1))
     draw([row for row in rows if "seconds" in row], results / "gradient_cost.png")
 
 

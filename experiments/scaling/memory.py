@@ -3,8 +3,8 @@
     python experiments/scaling/memory.py [--quick]
 
 The Cornell box, each render in a process of its own, the second one of its kind, so that nothing is compiled.
-A picture, its error and the copy of both that goes into the file take 48 bytes a pixel. Writes results/memory.csv
-and .png.
+A picture, its error and the copy of both that goes into the file take 48 bytes a pixel. Writes results/memory.csv,
+.png and .json (machine, versions).
 """
 
 from __future__ import annotations
@@ -16,6 +16,9 @@ import subprocess
 import sys
 import tempfile
 from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parent.parent))
+from peer import results_of
 
 HERE = Path(__file__).parent
 SCENE = HERE.parent.parent / "scenes" / "cornell_box.xml"
@@ -50,8 +53,8 @@ def main() -> None:
                     flush=True,
                 )
 
-    (HERE / "results").mkdir(exist_ok=True)
-    with (HERE / "results" / "memory.csv").open("w", newline="") as file:
+    results = results_of(HERE, name="memory")
+    with (results / "memory.csv").open("w", newline="") as file:
         table = csv.DictWriter(file, ["size", "spp", "megabytes"])
         table.writeheader()
         table.writerows(rows)
@@ -68,7 +71,7 @@ def main() -> None:
     ax.plot(pixels, [rows[0]["megabytes"] + 48 * p for p in pixels], "k:", label="film alone")
     ax.set(xlabel="million pixels", ylabel="peak memory, MB", ylim=(0, None))
     ax.legend()
-    fig.savefig(HERE / "results" / "memory.png", dpi=150)
+    fig.savefig(results / "memory.png", dpi=150)
 
 
 if __name__ == "__main__":

@@ -4,7 +4,7 @@
 
 Rays start inside spheres of 48 to 1.3 million triangles, in all directions, arrays in and out. The embree backend
 gets all of them in one jitted call, the others one program a core; Mitsuba `ray_intersect_preliminary`, robust.
-They take turns, warm, and the best of five counts. Writes results/scaling.csv and .png.
+They take turns, warm, and the best of five counts. Writes results/scaling.csv, .png and .json (machine, versions).
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ import numpy as np
 import trimesh
 
 sys.path.insert(0, str(Path(__file__).parent.parent))
-from peer import load_mitsuba, timed
+from peer import load_mitsuba, results_of, timed
 
 HERE = Path(__file__).parent
 LANES = 8192
@@ -110,9 +110,8 @@ def main() -> None:
         rows.append({"triangles": n, **rates})
         print(f"{n:>8} triangles:", ", ".join(f"{name} {rate:.2f} Mrays/s" for name, rate in rates.items()), flush=True)
 
-    (HERE / "results").mkdir(exist_ok=True)
-    names = [*BACKENDS, "mitsuba"]
-    with (HERE / "results" / "scaling.csv").open("w", newline="") as file:
+    results, names = results_of(HERE), [*BACKENDS, "mitsuba"]
+    with (results / "scaling.csv").open("w", newline="") as file:
         table = csv.DictWriter(file, ["triangles", *names])
         table.writeheader()
         table.writerows(rows)
@@ -128,7 +127,7 @@ def main() -> None:
             ax.loglog(*zip(*points, strict=True), "o-", label=name)
     ax.set(xlabel="triangles", ylabel="closest hits, millions a second")
     ax.legend()
-    fig.savefig(HERE / "results" / "scaling.png", dpi=150)
+    fig.savefig(results / "scaling.png", dpi=150)
 
 
 if __name__ == "__main__":

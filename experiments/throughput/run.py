@@ -5,7 +5,8 @@
 The two take turns on the Cornell box, warm, and the best of five counts; compiling is timed apart. A path is a
 sample of a pixel. Rays are incoherent closest hits from points in the box: for jaxrt ψ with its distance, for
 Mitsuba `ray_intersect_preliminary`. Mitsuba runs `llvm_ad_rgb` where an LLVM library is found (or named by
-DRJIT_LIBLLVM_PATH), else `scalar_rgb`, which traces no batches of rays. Writes results/throughput.csv and .png.
+DRJIT_LIBLLVM_PATH), else `scalar_rgb`, which traces no batches of rays. Writes results/throughput.csv, .png and
+.json (machine, versions).
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from typing import Any
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parent.parent))
-from peer import load_mitsuba, timed
+from peer import load_mitsuba, results_of, timed
 
 HERE = Path(__file__).parent
 SCENE = HERE.parent.parent / "scenes" / "cornell_box.xml"
@@ -130,7 +131,7 @@ def rays(scene: Any, peer: Any, mi: Any, count: int, repeat: int) -> Row:
     return turns("rays, closest hit", count, ours, theirs, repeat)
 
 
-def draw(rows: list[Row], variant: str | None) -> None:
+def draw(rows: list[Row], variant: str | None, file: Path) -> None:
     import matplotlib
 
     matplotlib.use("Agg")
@@ -144,7 +145,7 @@ def draw(rows: list[Row], variant: str | None) -> None:
         ax.set_ylabel("millions a second")
         ax.margins(y=0.15)
     fig.suptitle(f"Cornell box; Mitsuba 3 as {variant or 'not installed'}")
-    fig.savefig(HERE / "results" / "throughput.png", dpi=150)
+    fig.savefig(file, dpi=150)
 
 
 def main() -> None:
@@ -163,14 +164,14 @@ def main() -> None:
     runs = [functools.partial(paths, scene, peer, mi, size, spp, depth, repeat) for depth in (6, -1)]
     rows = [run() for run in [*runs, functools.partial(rays, scene, peer, mi, count, repeat)]]
 
-    (HERE / "results").mkdir(exist_ok=True)
-    with (HERE / "results" / "throughput.csv").open("w", newline="") as file:
+    results = results_of(HERE, mitsuba=variant)
+    with (results / "throughput.csv").open("w", newline="") as file:
         table = csv.writer(file)
         table.writerow(["what", "jaxrt M/s", "Mitsuba M/s", "ratio", "jaxrt first s", "Mitsuba first s", "variant"])
         for r in rows:
             rates = [f"{r.rate(r.jaxrt):.4g}", f"{r.rate(r.mitsuba):.4g}", f"{r.ratio:.4g}"]
             table.writerow([r.name, *rates, r.jaxrt_first, r.mitsuba_first, variant])
-    draw(rows, variant)
+    draw(rows, variant, results / "throughput.png")
 
 
 if __name__ == "__main__":

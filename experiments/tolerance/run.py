@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import argparse
 import csv
-import json
 import sys
 import time
 from pathlib import Path
@@ -23,7 +22,7 @@ from jaxrt.workprec.stage import Stage, root_relative_mse, stage_of
 
 HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE.parent))
-from peer import circumstances  # noqa: E402
+from peer import results_of  # noqa: E402
 
 SCENES = sorted((HERE.parent.parent / "scenes").glob("*.xml"))
 HOLDS = 0.95
@@ -107,8 +106,7 @@ def main() -> None:
     args = parser.parse_args()
     if args.quick:
         args.rtol, args.seeds, args.side, args.reference = 0.1, 12, 32, 8.0
-    (HERE / "results").mkdir(exist_ok=True)
-    found, table = {}, []
+    results, found, table = results_of(HERE), {}, []
     for file in args.scenes or (SCENES[:1] if args.quick else SCENES):
         stage = stage_of(jaxrt.load(file), file.stem, file=file, side=args.side, seconds=args.reference, most=1 << 14)
         rows = found[file.stem] = tried(stage, args.seeds, args.rtol)
@@ -131,12 +129,11 @@ def main() -> None:
             }
         )
         print({k: round(v, 4) if isinstance(v, float) else v for k, v in table[-1].items()}, flush=True)
-    with (HERE / "results" / "tolerance.csv").open("w", newline="") as out:
+    with (results / "tolerance.csv").open("w", newline="") as out:
         writer = csv.DictWriter(out, list(table[0]))
         writer.writeheader()
         writer.writerows(table)
-    (HERE / "results" / "tolerance.json").write_text(json.dumps(circumstances(seed=0), indent=1))
-    figure(found, args.rtol, HERE / "results" / "tolerance.png")
+    figure(found, args.rtol, results / "tolerance.png")
     holds, runs = sum(row["claim holds"] for row in table), sum(row["of"] for row in table)
     print(f"claims hold in {holds} of {runs} renders ({holds / runs:.1%}; {HOLDS:.0%} are meant)")
 
