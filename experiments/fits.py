@@ -56,7 +56,7 @@ def write(
     curves: dict[str, tuple[Any, Any]],
     strip: dict[str, Any],
 ) -> None:
-    """Writes .json and .png to results/, by the folder's name: pictures (radiance, or sRGB in bytes), curves of loss."""
+    """Writes .json and .png to results/, named as the folder: pictures (radiance or sRGB bytes), curves of loss."""
     import matplotlib
 
     matplotlib.use("Agg")
