@@ -291,7 +291,7 @@ def for_picture(
     looks = spp <= LOOKS and world.plan.lights and not world.plan.enclosure  # an enclosure is no light to sample
     gathers = 0 if looks else GATHERS
     share = 6.0 if gathers else 3.0  # what is looked at itself has to be even rather than fine
-    resolution = int(np.clip(share * wanted, 256, 1 << 15))
+    resolution = int(np.clip(2.0 ** round(np.log2(share * wanted)), 256, 1 << 15))  # of few sizes, for few programs
     directions = int(np.clip(1 << round(np.log2(max(wanted / share, 1.0))), 16 if gathers else 64, 1024))
     elements = marked(world, scene, resolution)
     follow, count = follows(world.plan, elements), elements.count
