@@ -21,7 +21,7 @@ from jax.lax import stop_gradient as sg
 from ..scene import FACE
 from ..surface import surface_point
 from ..texture import _row
-from ..vector import Vec3, cross, dot, length, normalise, safe_sqrt
+from ..vector import Vec3, cross, dot, length, normalise, safe_sqrt, where
 from ..world import World
 from .curves import corners
 from .edges import CANDIDATES, candidates, pick, sums_of
@@ -54,6 +54,16 @@ def at(world: World, face: Any, uv: tuple[Any, Any]) -> Vec3:
 def level(world: World, face: Any, o: Vec3, d: Vec3) -> Any:
     """−n·d of the unit normal where the ray (o, d) meets the face, attached: 0 on the contour."""
     return -dot(surface_point(world, face, o, d).shading, d) * sg(_row(world.faces, face)[FACE["side"]])
+
+
+def short_of(world: World, face: Any, edge: tuple[Vec3, Vec3], ray: tuple[Vec3, Vec3]) -> tuple[Vec3, Vec3]:
+    """A ray that meets a face beside one of its edges, and the ray to that edge: between them one on the edge's side of
+    a contour that passes there, else the first. Where they meet an edge contours are as close to it as one likes."""
+    here, there = level(world, face, *edge), level(world, face, *ray)
+    crossed, gap = (here < 0) != (there < 0), jnp.abs(here) + jnp.abs(there)
+    share = jnp.where(crossed & (face >= 0), 0.3 * jnp.abs(here) / jnp.where(gap > 0, gap, 1.0), 1.0)
+    o, d = (a + (b - a) * share for a, b in zip(edge, ray, strict=True))
+    return where(share < 1, o, ray[0]), where(share < 1, normalise(d), ray[1])
 
 
 def _normals(world: World, face: Any) -> tuple[Vec3, Vec3, Vec3]:

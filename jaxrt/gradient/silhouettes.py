@@ -119,9 +119,12 @@ def _beside(
     far = jnp.where(j >= len(edges.ends), near, aside)
 
     def one(side: Any) -> Any:
-        at = q[0] + far * side * n[0], q[1] + far * side * n[1]
-        o, d = camera.ray(view.sensor, view.to_world, view.lens, view.window, at, lens)
-        y, light = follow(world, depths, o, d, s, jnp.int32(0), further, True)
+        ray = lambda far: camera.ray(
+            view.sensor, view.to_world, view.lens, view.window, (q[0] + far * side * n[0], q[1] + far * side * n[1]), lens
+        )
+        o, d = ray(far)
+        edge_ray = ray(jnp.where(j >= len(edges.ends), far, 0.0))
+        y, light = follow(world, depths, o, d, s, jnp.int32(0), further, True, edge_ray)
         return y if mirror is None else where(mirror[1], mirror[0].behind(world, d, y), y), light
 
     y, light = jax.vmap(one)(jnp.array([-1.0, 1.0], world.faces.dtype))

@@ -222,12 +222,13 @@ class Met(eqx.Module):
 
 
 def follow(
-    world: World, depths: path.Depths, o: Vec3, d: Vec3, s: Stream, depth: Any, further: bool, sampled: bool
-) -> tuple[Met, Spectrum]:
+    world: World, depths: path.Depths, o: Vec3, d: Vec3, s: Stream, depth: Any, further: bool, sampled: bool,
+    edge_ray: tuple[Vec3, Vec3] | None = None,
+) -> tuple[Met, Spectrum]:  # fmt: skip
     """Where a ray lands that is edge number `depth` of a path, and an estimate of what arrives along it.
 
     `further`: whether any such path goes on from there. Without `sampled`, emission that is sampled as light is left
-    out where the ray lands.
+    out where the ray lands. `edge_ray`: that to the edge beside which this one looks, if it does.
     """
     none = Spectrum.full(world.plan.channels, 0.0 * o.x)
 
@@ -241,7 +242,12 @@ def follow(
 
     def step(carry: tuple[path.PathState, Met]) -> tuple[path.PathState, Met]:
         p, met = carry
-        landing, first = path.land(world, depths, p, path.bounce_stream(s, p.depth)), p.depth == depth
+        first, face = p.depth == depth, None
+        if edge_ray is not None and world.plan.smooth_normals:
+            face = world.settle(world.search.closest(p.o, p.d))
+            near, w = contours.short_of(world, face, edge_ray, (p.o, p.d))
+            p = replace(p, o=where(first, near, p.o), d=where(first, w, p.d))
+        landing = path.land(world, depths, p, path.bounce_stream(s, p.depth), face)
         radiance = landing.radiance - left_out(landing.x).map(lambda c: jnp.where(first, c, 0.0))
         landing = replace(landing, radiance=radiance)
         return path.reflect(world, depths, p, landing), where(first, Met.of(landing.x), met)
@@ -388,17 +394,18 @@ def outlines(
             eye, up = (x, n) if mirror is None else (mirror.plane.image(x), None)
             inside.append((contours.choose(fixed, eye, up, s.child(2 + k)), mirror))
 
-    def beside(c: Chosen, side: float) -> tuple[Vec3, Vec3]:
+    def beside(c: Chosen, side: float) -> tuple[Vec3, Vec3, Vec3]:
         w = normalise(c.w + c.pole * (side * aside(fixed, c.r)))
-        return seen.origin(w), w
+        return seen.origin(w), w, where(c.edge < len(edges.ends), c.w, w)
 
-    def towards(y: Vec3, mirror: Mirror | None) -> tuple[Vec3, Vec3]:
+    def towards(y: Vec3, mirror: Mirror | None) -> tuple[Vec3, Vec3, Vec3]:
         y = y if mirror is None else mirror.plane.image(y)
-        return seen.origin(y - x), normalise(y - seen.origin(y - x))
+        w = normalise(y - seen.origin(y - x))
+        return seen.origin(y - x), w, w
 
     sides = [beside(c, side) for c, _ in kinds for side in (-1.0, 1.0)]
     sides += [towards(y, mirror) for c, mirror in inside for y in (c.dark, c.light)]
-    ray = lambda o, w: follow(fixed, depths, o, w, s, depth + 1, further, not plan.light_kinds)
+    ray = lambda o, w, e: follow(fixed, depths, o, w, s, depth + 1, further, not plan.light_kinds, (o, e))
     looked = jax.vmap(ray)(*jax.tree.map(lambda *a: jnp.stack(a), *sides))
     total = Spectrum.full(plan.channels, 0.0 * x.x)
 
