@@ -21,7 +21,7 @@ from jax.lax import stop_gradient as sg
 from ..scene import FACE
 from ..surface import surface_point
 from ..texture import _row
-from ..vector import Vec3, cross, dot, length, normalise, safe_sqrt, where
+from ..vector import Vec3, cross, dot, length, normalise, safe_sqrt
 from ..world import World
 from .curves import corners
 from .edges import CANDIDATES, candidates, pick, sums_of
@@ -56,14 +56,19 @@ def level(world: World, face: Any, o: Vec3, d: Vec3) -> Any:
     return -dot(surface_point(world, face, o, d).shading, d) * sg(_row(world.faces, face)[FACE["side"]])
 
 
+NEARER = 0.1
+"""Where between an edge and what is met beside it light is taken: across a face that is seen from its side it varies."""
+
+
 def short_of(world: World, face: Any, edge: tuple[Vec3, Vec3], ray: tuple[Vec3, Vec3]) -> tuple[Vec3, Vec3]:
-    """A ray that meets a face beside one of its edges, and the ray to that edge: between them one on the edge's side of
-    a contour that passes there, else the first. Where they meet an edge contours are as close to it as one likes."""
+    """Of the ray to an edge, and one that meets a face beside it, one between them, nearer to the edge, and on the
+    edge's side of a contour of that face: where a contour leaves through an edge it is as close as one likes."""
     here, there = level(world, face, *edge), level(world, face, *ray)
-    crossed, gap = (here < 0) != (there < 0), jnp.abs(here) + jnp.abs(there)
-    share = jnp.where(crossed & (face >= 0), 0.3 * jnp.abs(here) / jnp.where(gap > 0, gap, 1.0), 1.0)
+    gap = jnp.abs(here) + jnp.abs(there)
+    crossed = (face >= 0) & ((here < 0) != (there < 0))
+    share = jnp.where(crossed, jnp.minimum(0.3 * jnp.abs(here) / jnp.where(gap > 0, gap, 1.0), NEARER), NEARER)
     o, d = (a + (b - a) * share for a, b in zip(edge, ray, strict=True))
-    return where(share < 1, o, ray[0]), where(share < 1, normalise(d), ray[1])
+    return o, normalise(d)
 
 
 def _normals(world: World, face: Any) -> tuple[Vec3, Vec3, Vec3]:

@@ -120,7 +120,12 @@ def _beside(
 
     def one(side: Any) -> Any:
         ray = lambda far: camera.ray(
-            view.sensor, view.to_world, view.lens, view.window, (q[0] + far * side * n[0], q[1] + far * side * n[1]), lens
+            view.sensor,
+            view.to_world,
+            view.lens,
+            view.window,
+            (q[0] + far * side * n[0], q[1] + far * side * n[1]),
+            lens,
         )
         o, d = ray(far)
         edge_ray = ray(jnp.where(j >= len(edges.ends), far, 0.0))

@@ -38,9 +38,11 @@ from .edges import CANDIDATES, Edges, candidates, pick, sums_of
 from .outline import FLAT, Outline
 
 
-def aside(world: World, r: Any) -> Any:
-    """How far beside an edge at distance r to look, in radians: more than rounding moves points, and hardly more."""
+def aside(world: World, r: Any, curved: Any = False) -> Any:
+    """How far beside an edge at distance r to look, in radians: more than rounding moves points, and hardly more.
+    `curved`: beside an outline of a curved face, where light differs from that at it by the square root of this."""
     fine = (1e-4 if world.plan.smooth_normals else 3e-4) if world.faces.dtype == jnp.float32 else 1e-5
+    fine = jnp.where(curved, min(fine, 2e-5), fine)
     return jnp.minimum(jnp.maximum(fine, 4.0 * world.epsilon / jnp.maximum(r, 1e-30)), 0.05)
 
 
@@ -395,8 +397,9 @@ def outlines(
             inside.append((contours.choose(fixed, eye, up, s.child(2 + k)), mirror))
 
     def beside(c: Chosen, side: float) -> tuple[Vec3, Vec3, Vec3]:
-        w = normalise(c.w + c.pole * (side * aside(fixed, c.r)))
-        return seen.origin(w), w, where(c.edge < len(edges.ends), c.w, w)
+        curved = c.edge >= len(edges.ends)
+        w = normalise(c.w + c.pole * (side * aside(fixed, c.r, curved)))
+        return seen.origin(w), w, where(curved, w, c.w)
 
     def towards(y: Vec3, mirror: Mirror | None) -> tuple[Vec3, Vec3, Vec3]:
         y = y if mirror is None else mirror.plane.image(y)
@@ -417,7 +420,8 @@ def outlines(
 
     for k, (chosen, mirror) in enumerate(kinds):
         met, jump = seen_at(k, mirror)
-        share = owned(fixed, edges, chosen.edge, chosen.r, 8.0 * aside(fixed, chosen.r) * chosen.r, *met)
+        reach = 8.0 * aside(fixed, chosen.r) * chosen.r
+        share = owned(fixed, edges, chosen.edge, chosen.r, reach, *met)
         scale = chosen.weight * share * (1.0 if mirror is None else mirror.weight) / chosen.r
         coefficient = seen.beta * value(chosen.w) * jump * scale
         y_attached = chosen.attached(world, edges, None if mirror is None else mirror.face)
