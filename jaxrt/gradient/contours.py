@@ -57,7 +57,7 @@ def level(world: World, face: Any, o: Vec3, d: Vec3) -> Any:
 
 
 NEARER = 0.1
-"""Where between an edge and what is met beside it light is taken: across a face that is seen from its side it varies."""
+"""Where between an edge and what is met beside it light is taken: it varies across faces that are seen end-on."""
 
 
 def short_of(world: World, face: Any, edge: tuple[Vec3, Vec3], ray: tuple[Vec3, Vec3]) -> tuple[Vec3, Vec3]:

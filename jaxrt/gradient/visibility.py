@@ -247,8 +247,8 @@ def follow(
         first, face = p.depth == depth, None
         if edge_ray is not None and world.plan.smooth_normals:
             face = world.settle(world.search.closest(p.o, p.d))
-            near, w = contours.short_of(world, face, edge_ray, (p.o, p.d))
-            p = replace(p, o=where(first, near, p.o), d=where(first, w, p.d))
+            nearer = contours.short_of(world, face, edge_ray, (p.o, p.d))
+            p = replace(p, o=where(first, nearer[0], p.o), d=where(first, nearer[1], p.d))
         landing = path.land(world, depths, p, path.bounce_stream(s, p.depth), face)
         radiance = landing.radiance - left_out(landing.x).map(lambda c: jnp.where(first, c, 0.0))
         landing = replace(landing, radiance=radiance)
