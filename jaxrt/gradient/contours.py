@@ -56,6 +56,21 @@ def level(world: World, face: Any, o: Vec3, d: Vec3) -> Any:
     return -dot(surface_point(world, face, o, d).shading, d) * sg(_row(world.faces, face)[FACE["side"]])
 
 
+NEARER = 0.1
+"""Where between an edge and what is met beside it light is taken: it varies across faces that are seen end-on."""
+
+
+def short_of(world: World, face: Any, edge: tuple[Vec3, Vec3], ray: tuple[Vec3, Vec3]) -> tuple[Vec3, Vec3]:
+    """Of the ray to an edge, and one that meets a face beside it, one between them, nearer to the edge, and on the
+    edge's side of a contour of that face: where a contour leaves through an edge it is as close as one likes."""
+    here, there = level(world, face, *edge), level(world, face, *ray)
+    gap = jnp.abs(here) + jnp.abs(there)
+    crossed = (face >= 0) & ((here < 0) != (there < 0))
+    share = jnp.where(crossed, jnp.minimum(0.3 * jnp.abs(here) / jnp.where(gap > 0, gap, 1.0), NEARER), NEARER)
+    o, d = (a + (b - a) * share for a, b in zip(edge, ray, strict=True))
+    return o, normalise(d)
+
+
 def _normals(world: World, face: Any) -> tuple[Vec3, Vec3, Vec3]:
     row, k = _row(world.faces, face), FACE["extra"]
     return tuple(Vec3(*(row[j] for j in range(i, i + 3))) for i in (k, k + 3, k + 6))  # pyright: ignore

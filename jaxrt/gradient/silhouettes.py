@@ -119,9 +119,10 @@ def _beside(
     far = jnp.where(j >= len(edges.ends), near, aside)
 
     def one(side: Any) -> Any:
-        at = q[0] + far * side * n[0], q[1] + far * side * n[1]
-        o, d = camera.ray(view.sensor, view.to_world, view.lens, view.window, at, lens)
-        y, light = follow(world, depths, o, d, s, jnp.int32(0), further, True)
+        ray = lambda q: camera.ray(view.sensor, view.to_world, view.lens, view.window, q, lens)
+        o, d = ray((q[0] + far * side * n[0], q[1] + far * side * n[1]))
+        edge_ray = where(j >= len(edges.ends), (o, d), ray(q))
+        y, light = follow(world, depths, o, d, s, jnp.int32(0), further, True, edge_ray)
         return y if mirror is None else where(mirror[1], mirror[0].behind(world, d, y), y), light
 
     y, light = jax.vmap(one)(jnp.array([-1.0, 1.0], world.faces.dtype))
@@ -183,7 +184,7 @@ def picture(
             return jnp.abs(normal[0] * (to[0] - q[0]) + normal[1] * (to[1] - q[1]))
 
         aside = ASIDE
-        if plan.smooth_normals and straight:  # nearer than contours, by how wide both faces look
+        if plan.smooth_normals and straight:  # where even faces that look narrow are met
             wide = jnp.stack([across(p) for p in edge.two_points(edges.beside[jnp.minimum(j, len(edges.ends) - 1)])])
             aside = jnp.where(j < len(edges.ends), jnp.clip(0.003 * wide.min(), 1e-5 * still.width, ASIDE), ASIDE)
         jump = _beside(fixed, edges, still, depths, j, q, normal, lens, s, mirror, steps > 1, aside)

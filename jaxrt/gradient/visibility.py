@@ -38,9 +38,11 @@ from .edges import CANDIDATES, Edges, candidates, pick, sums_of
 from .outline import FLAT, Outline
 
 
-def aside(world: World, r: Any) -> Any:
-    """How far beside an edge at distance r to look, in radians: more than rounding moves points, and hardly more."""
+def aside(world: World, r: Any, curved: Any = False) -> Any:
+    """How far beside an edge at distance r to look, in radians: more than rounding moves points, and hardly more.
+    `curved`: beside an outline of a curved face, where light differs from that at it by the square root of this."""
     fine = (1e-4 if world.plan.smooth_normals else 3e-4) if world.faces.dtype == jnp.float32 else 1e-5
+    fine = jnp.where(curved, min(fine, 2e-5), fine)
     return jnp.minimum(jnp.maximum(fine, 4.0 * world.epsilon / jnp.maximum(r, 1e-30)), 0.05)
 
 
@@ -222,12 +224,13 @@ class Met(eqx.Module):
 
 
 def follow(
-    world: World, depths: path.Depths, o: Vec3, d: Vec3, s: Stream, depth: Any, further: bool, sampled: bool
-) -> tuple[Met, Spectrum]:
+    world: World, depths: path.Depths, o: Vec3, d: Vec3, s: Stream, depth: Any, further: bool, sampled: bool,
+    edge_ray: tuple[Vec3, Vec3] | None = None,
+) -> tuple[Met, Spectrum]:  # fmt: skip
     """Where a ray lands that is edge number `depth` of a path, and an estimate of what arrives along it.
 
     `further`: whether any such path goes on from there. Without `sampled`, emission that is sampled as light is left
-    out where the ray lands.
+    out where the ray lands. `edge_ray`: that to the edge beside which this one looks, if it does.
     """
     none = Spectrum.full(world.plan.channels, 0.0 * o.x)
 
@@ -241,7 +244,12 @@ def follow(
 
     def step(carry: tuple[path.PathState, Met]) -> tuple[path.PathState, Met]:
         p, met = carry
-        landing, first = path.land(world, depths, p, path.bounce_stream(s, p.depth)), p.depth == depth
+        first, face = p.depth == depth, None
+        if edge_ray is not None and world.plan.smooth_normals:
+            face = world.settle(world.search.closest(p.o, p.d))
+            nearer = contours.short_of(world, face, edge_ray, (p.o, p.d))
+            p = replace(p, o=where(first, nearer[0], p.o), d=where(first, nearer[1], p.d))
+        landing = path.land(world, depths, p, path.bounce_stream(s, p.depth), face)
         radiance = landing.radiance - left_out(landing.x).map(lambda c: jnp.where(first, c, 0.0))
         landing = replace(landing, radiance=radiance)
         return path.reflect(world, depths, p, landing), where(first, Met.of(landing.x), met)
@@ -388,17 +396,19 @@ def outlines(
             eye, up = (x, n) if mirror is None else (mirror.plane.image(x), None)
             inside.append((contours.choose(fixed, eye, up, s.child(2 + k)), mirror))
 
-    def beside(c: Chosen, side: float) -> tuple[Vec3, Vec3]:
-        w = normalise(c.w + c.pole * (side * aside(fixed, c.r)))
-        return seen.origin(w), w
+    def beside(c: Chosen, side: float) -> tuple[Vec3, Vec3, Vec3]:
+        curved = c.edge >= len(edges.ends)
+        w = normalise(c.w + c.pole * (side * aside(fixed, c.r, curved)))
+        return seen.origin(w), w, where(curved, w, c.w)
 
-    def towards(y: Vec3, mirror: Mirror | None) -> tuple[Vec3, Vec3]:
+    def towards(y: Vec3, mirror: Mirror | None) -> tuple[Vec3, Vec3, Vec3]:
         y = y if mirror is None else mirror.plane.image(y)
-        return seen.origin(y - x), normalise(y - seen.origin(y - x))
+        w = normalise(y - seen.origin(y - x))
+        return seen.origin(y - x), w, w
 
     sides = [beside(c, side) for c, _ in kinds for side in (-1.0, 1.0)]
     sides += [towards(y, mirror) for c, mirror in inside for y in (c.dark, c.light)]
-    ray = lambda o, w: follow(fixed, depths, o, w, s, depth + 1, further, not plan.light_kinds)
+    ray = lambda o, w, e: follow(fixed, depths, o, w, s, depth + 1, further, not plan.light_kinds, (o, e))
     looked = jax.vmap(ray)(*jax.tree.map(lambda *a: jnp.stack(a), *sides))
     total = Spectrum.full(plan.channels, 0.0 * x.x)
 
@@ -410,7 +420,8 @@ def outlines(
 
     for k, (chosen, mirror) in enumerate(kinds):
         met, jump = seen_at(k, mirror)
-        share = owned(fixed, edges, chosen.edge, chosen.r, 8.0 * aside(fixed, chosen.r) * chosen.r, *met)
+        reach = 8.0 * aside(fixed, chosen.r) * chosen.r
+        share = owned(fixed, edges, chosen.edge, chosen.r, reach, *met)
         scale = chosen.weight * share * (1.0 if mirror is None else mirror.weight) / chosen.r
         coefficient = seen.beta * value(chosen.w) * jump * scale
         y_attached = chosen.attached(world, edges, None if mirror is None else mirror.face)

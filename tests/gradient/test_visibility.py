@@ -277,6 +277,39 @@ def test_where_vertex_normals_turn_away():
         assert float(one) == pytest.approx(float(want), rel=0.01)
 
 
+def test_where_a_contour_leaves_through_an_edge():
+    """A triangle under an even sky, dark in a wedge of 1° or less along half of an edge: by its width, against the areas."""
+    corners = np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0]])
+    tilt = np.arctan(4.0) + np.array([-np.arctan(4.0), -0.01, 0.01])
+    normals = np.stack([np.sin(tilt), 0 * tilt, np.cos(tilt)], 1)
+    triangle = jaxrt.Mesh(id="it", vertices=corners, faces=[[0, 1, 2]], normals=normals, bsdf=jaxrt.Diffuse(0.5))
+    pose = np.diag([-1.0, 1, -1, 1])
+    pose[2, 3] = 4.0
+    sensor = jaxrt.Sensor("perspective", pose, fov=40, film=jaxrt.Film(8, 8, "box"))
+    scene = jaxrt.Scene.build([triangle], sensors=[sensor], enclosure=jaxrt.Enclosure(1.0))
+
+    def mean(t):
+        """Of lines from the edge to the corner opposite, the length that is lit: n·(o − x) is a quadratic on each."""
+        at = corners * [1 + t, 1, 1]
+        along = (np.arange(1 << 12) + 0.5)[:, None] / (1 << 12)
+        f = lambda s: ((n0 + s * (n - n0)) * ([0, 0, 4] - (at[0] + s * (p - at[0])))).sum(1)
+        (n0, n1, n2), p = normals, at[1] + (at[2] - at[1]) * along
+        n = n1 + (n2 - n1) * along
+        c, b = f(0.0), 4 * f(0.5) - f(1.0) - 3 * f(0.0)
+        a = f(1.0) - b - c
+        lit = np.where(f(1.0) > 0, 1.0, -2 * c / (b - np.sqrt(np.maximum(b * b - 4 * a * c, 0))))
+        return 1 - 2 * (1 + t) * (1 - 0.5 * np.mean(lit**2)) / (8 * np.tan(np.radians(20.0))) ** 2
+
+    def got(t, boundary):
+        here = jaxrt.with_params(scene, {"it.vertices": jnp.asarray(corners) * jnp.stack([1 + t, 1.0, 1.0])[None]})
+        return jaxrt.measure(here, 0, plan=scene.plan, spp=256, max_depth=2, boundary=boundary).mean()
+
+    values, slopes = jax.jit(lambda: jax.jvp(lambda t: jnp.stack([got(t, True), got(t, False)]), (0.0,), (1.0,)))()
+    assert float(values[0]) == pytest.approx(mean(0.0), rel=2e-3)
+    boundary = float(slopes[0] - slopes[1])  # interior terms are 0, but for noise
+    assert boundary == pytest.approx((mean(1e-4) - mean(-1e-4)) / 2e-4, rel=0.01)
+
+
 @pytest.mark.slow
 def test_a_smooth_ball_in_motion():
     """Of 80 faces: points at which its own faces hide half of a lamp, and what it throws onto a floor."""
