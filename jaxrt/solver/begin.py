@@ -195,13 +195,14 @@ class Batch(Picture):
 
 
 class Rays(Begin):
-    """Paths along given rays, (N, 3) each."""
+    """Paths along given rays, (N, 3) each. A surface on which a ray begins is not in its way."""
 
     points: Any
     directions: Any
 
     def __call__(self, world: World, number: Any, s: Stream) -> PathState:
-        return start(world, Vec3.of(self.points[number]), normalise(Vec3.of(self.directions[number])))
+        d = normalise(Vec3.of(self.directions[number]))
+        return start(world, Vec3.of(self.points[number]) + d * world.epsilon, d)
 
 
 class Meters(Begin):

@@ -20,6 +20,9 @@ def standard_error(variance: np.ndarray) -> np.ndarray:
     gives about 20, so that normal quantiles have the right coverage. Totals over the picture are better taken
     of the unpooled variance, which does not spread from highlights.
     """
+    if not (finite := np.isfinite(variance)).all():  # what is none in a pixel is no matter of its neighbours
+        share, known = pooled(np.where(finite, variance, 0.0)), pooled(finite.astype(variance.dtype))
+        return np.where(finite, np.sqrt(share / np.maximum(known, 1e-6)), np.nan)
     height, above = len(variance), variance[:0].copy()
     for start in range(0, height, 256):  # in bands, each with a row of its neighbours
         stop = min(start + 256, height)
@@ -104,7 +107,8 @@ class Solution:
 
     image: radiance, W·m⁻²·sr⁻¹. stderr: standard error of each value (NaN below two samples a pixel).
     error: its parts and what it stays below. spp: samples of each pixel (H, W).
-    stats: samples, spp, rays, max_depth, bounces, method, why, threads, nonfinite,
+    stats: samples, spp, rays, max_depth, bounces, method, why, threads, nonfinite (values of the picture that are not
+    finite; and if there are any, nonfinite_samples: samples found to be so, and nonfinite_at: the first of them),
     seconds_compile (making programs), seconds_solve (of a field), seconds_run (the rest); with a field also elements,
     directions, field_iterations, field_bytes. aovs: what pixels see first, by name, as `render` was asked.
     """
