@@ -25,13 +25,18 @@ from jaxrt.intersect import dense  # noqa: E402
 
 dense.UNROLL = 1  # compiles twice as fast
 
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("names", nargs="*")
     parser.add_argument("--quick", action="store_true", help="only cases that the README's tests run")
     parser.add_argument("--float32", action="store_true", help="leave float64 out")
     args = parser.parse_args()
-    asked = [c for c in cases.every() if (c.quick or not args.quick) and (not args.names or any(n in c.name for n in args.names))]
+    asked = [
+        c
+        for c in cases.every()
+        if (c.quick or not args.quick) and (not args.names or any(n in c.name for n in args.names))
+    ]
     rows, failing = [], {c.name: c.fails for c in asked if c.fails}
     for k, case in enumerate(asked):
         for double in (False, True)[: 1 if args.float32 else 2]:

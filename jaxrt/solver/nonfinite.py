@@ -93,7 +93,7 @@ def follow(world: Any, begin: Any, depths: Any, seed: Any, numbers: Any, samples
             shines = none(radiance_of(world, x, -state.d))
             found = jnp.where(none(x.position, x.normal, x.shading), 2, 0)
             found = jnp.where((found == 0) & none(after.radiance) & shines, 3, found)
-            found = jnp.where((found == 0) & none(after.beta) & after.alive, 5, found)
+            found = jnp.where((found == 0) & none(after.beta), 5, found)
             found = jnp.where((found == 0) & none(after.radiance), 4, found)
             found = jnp.where(state.alive & (cause == 0), found, 0)
             edge = face, x.position.array(), after.beta.array(), after.radiance.array(), found, state.alive

@@ -82,13 +82,18 @@ class Pilot(NamedTuple):
         return float(np.hypot(self.expected * times ** (-self.steep / 2), off))
 
 
+def _shares(tally: Tally, apart: bool = True) -> np.ndarray:
+    """What pixels add to relMSE; of those that are not finite nothing, for samples do not mend them."""
+    return np.nan_to_num(tally.relative_variances(apart))
+
+
 def _claim(tally: Tally) -> float:
-    return statistical(tally.relative_variances())[1]
+    return statistical(_shares(tally))[1]
 
 
 def _expected(tally: Tally) -> float:
     """√relMSE: of few samples, between what all sets say (too little) and what halves say of each other (too much)."""
-    both = [statistical(tally.relative_variances(apart))[0] for apart in (False, True)]
+    both = [statistical(_shares(tally, apart))[0] for apart in (False, True)]
     return float(np.sqrt(np.mean(np.square(both))))
 
 
@@ -110,7 +115,7 @@ def pilot(workers: Workers, key: Any, goal: Goal) -> Pilot:
     else:
         many = PILOT
     _take(workers, even, np.full(workers.n, many))
-    shares, rate = even.relative_variances(), speed()
+    shares, rate = _shares(even), speed()
     if statistical(shares)[1] <= goal.error or goal.left < MORE * rate * even.samples:
         return Pilot(even, even, np.ones(workers.n), _expected(even), rate)
     each = allotted(pooled(pooled(shares.reshape(workers.size[::-1]))).ravel())  # one pixel's four sets say little

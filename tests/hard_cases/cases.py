@@ -232,7 +232,9 @@ def _judged_slope(case: Case, method: str, precision: str, scene: Any, slopes: A
     slot = scene.structure.slot(slope.parameter)
     leaf = np.asarray(slopes[by.index(slot.leaf)], np.float64)
     part = leaf[(slice(None), *slot.index)]
-    mean, stderr = _mean((part * np.asarray(slope.direction)).reshape(KEYS if method == "path" else FIELD_KEYS, -1).sum(1))
+    mean, stderr = _mean(
+        (part * np.asarray(slope.direction)).reshape(KEYS if method == "path" else FIELD_KEYS, -1).sum(1)
+    )
     finite = all(np.isfinite(np.asarray(a)).all() for a in slopes)
     name = f"d/d {slope.parameter}"
     if slope.want is None or not finite:

@@ -6,11 +6,10 @@ import functools
 from typing import Any
 
 import numpy as np
-from cases import Case, Fact, Look, Slope
+from cases import Case, Fact, Look, Slope, square
 from helpers import WALLS, box_room, icosphere
 
 import jaxrt
-from cases import square
 
 SPOTS = Look(np.zeros((6, 3)) + 0.1, np.array(list(WALLS.values())) + 0.2, 1.0)
 """Rays from within the room to its six walls."""
@@ -54,7 +53,11 @@ def whole_furnace(rho: float) -> float:
     field = solved(rho)
     real = np.asarray(field.elements.size) > 0
     want = rho / (1 - rho)
-    return float(np.abs(np.asarray(field.values, np.float64)[real] / want - 1).max()) if field.result == _good() else np.nan
+    return (
+        float(np.abs(np.asarray(field.values, np.float64)[real] / want - 1).max())
+        if field.result == _good()
+        else np.nan
+    )
 
 
 def unsolved(rho: float, scene: Any = furnace) -> float:
@@ -80,8 +83,12 @@ def sphere(fraction: bool) -> jaxrt.Scene:
     """An icosphere seen from within, the upper half of which has exitance 1: an integrating sphere nearly."""
     v, f = icosphere(2)
     up = v[f].mean(1)[:, 2] > 0
-    part = lambda faces, **more: jaxrt.Mesh(vertices=v, faces=faces[:, ::-1], bsdf=jaxrt.Diffuse(0.5, id="wall"), **more)
-    return jaxrt.Scene.build([part(f[up], id="top", emission=1 / np.pi, emission_id="light"), part(f[~up], id="bottom")])
+    part = lambda faces, **more: jaxrt.Mesh(
+        vertices=v, faces=faces[:, ::-1], bsdf=jaxrt.Diffuse(0.5, id="wall"), **more
+    )
+    return jaxrt.Scene.build(
+        [part(f[up], id="top", emission=1 / np.pi, emission_id="light"), part(f[~up], id="bottom")]
+    )
 
 
 def concentric() -> jaxrt.Scene:

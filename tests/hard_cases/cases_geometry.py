@@ -106,7 +106,11 @@ def _thin_factor(gap: float) -> float:
     """F of parallel unit squares (Howell C-11)."""
     x = 1.0 / gap
     s = np.sqrt(1 + x * x)
-    return 2 / (PI * x * x) * (0.5 * np.log((1 + x * x) ** 2 / (1 + 2 * x * x)) + 2 * x * s * np.arctan(x / s) - 2 * x * np.arctan(x))
+    return (
+        2
+        / (PI * x * x)
+        * (0.5 * np.log((1 + x * x) ** 2 / (1 + 2 * x * x)) + 2 * x * s * np.arctan(x / s) - 2 * x * np.arctan(x))
+    )
 
 
 CASES = [

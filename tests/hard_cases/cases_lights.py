@@ -18,7 +18,9 @@ def ball(theta: float, distance: float = 2.0, radius: float = 1.0, radiance: flo
     """A sphere above a floor that is tilted by θ about the point below the sphere."""
     t = np.radians(theta)
     floor = plate((0, 0, 0), 3 * np.array([np.cos(t), 0, np.sin(t)]), 3 * Y, id="floor", bsdf=PAINT)
-    lamp = jaxrt.Sphere(center=(0, 0, distance), radius=radius, id="lamp", bsdf=BLACK, emission=radiance, emission_id="light")
+    lamp = jaxrt.Sphere(
+        center=(0, 0, distance), radius=radius, id="lamp", bsdf=BLACK, emission=radiance, emission_id="light"
+    )
     return jaxrt.Scene.build([floor, lamp])
 
 
@@ -27,13 +29,24 @@ def lit_by_ball(theta: float, irradiance: float, **more: Any) -> Case:
     n = np.array([-np.sin(t), 0, np.cos(t)])
     want = 0.5 / PI * irradiance
     options: dict[str, Any] = {"slope": Slope("light.radiance", 1.0, want), "rtol": 1e-3} | more
-    return Case(f"sphere light, tilt {theta}°", functools.partial(ball, theta), point(normal=n), want, "oracle", **options)
+    return Case(
+        f"sphere light, tilt {theta}°", functools.partial(ball, theta), point(normal=n), want, "oracle", **options
+    )
 
 
 def far_ball(name: str, distance: float, radius: float, **more: Any) -> Case:
     want = 0.5 * (radius / distance) ** 2
     scene = functools.partial(ball, 0.0, distance, radius)
-    return Case(name, scene, point(height=1e-4), want, "E = π (R/d)²", rtol=1e-3, slope=Slope("light.radiance", 1.0, want), **more)
+    return Case(
+        name,
+        scene,
+        point(height=1e-4),
+        want,
+        "E = π (R/d)²",
+        rtol=1e-3,
+        slope=Slope("light.radiance", 1.0, want),
+        **more,
+    )
 
 
 def at_a_point(*lamps: Any, enclosure: Any = None) -> jaxrt.Scene:

@@ -57,7 +57,8 @@ def facing(rho: float) -> jaxrt.Scene:
 def thousand(count: int = 1000) -> jaxrt.Scene:
     """A row of plates under a sky of 1, number k of albedo (k + 1)/count."""
     plates = [
-        plate((2.0 * k, 0, 0), 0.4 * X, Y, id=f"p{k}", bsdf=jaxrt.Diffuse((k + 1) / count, id=f"m{k}")) for k in range(count)
+        plate((2.0 * k, 0, 0), 0.4 * X, Y, id=f"p{k}", bsdf=jaxrt.Diffuse((k + 1) / count, id=f"m{k}"))
+        for k in range(count)
     ]
     return jaxrt.Scene.build(plates, enclosure=AROUND)
 

@@ -52,7 +52,9 @@ def junction(backend: str) -> float:
     f = np.array([[0, 1, 4], [1, 2, 4], [0, 2, 3]])
     t = np.linspace(0.0, 1.0, 4096)[1:-1, None]
     mesh = jaxrt.Mesh(vertices=v, faces=f, id="floor")
-    return float((searched(backend, [mesh], np.array([0.3, 0.9, 1.0]), v[2] * t + v[0] * (1 - t) - [0.3, 0.9, 1.0]) < 0).sum())
+    return float(
+        (searched(backend, [mesh], np.array([0.3, 0.9, 1.0]), v[2] * t + v[0] * (1 - t) - [0.3, 0.9, 1.0]) < 0).sum()
+    )
 
 
 def sliver(backend: str) -> float:
@@ -60,7 +62,9 @@ def sliver(backend: str) -> float:
     v = np.array([[0.0, 0, 0], [1e3, 0, 0], [1e3, 1e-3, 0], [0, 1e-3, 0]])
     x = np.linspace(0.1, 999.0, 512)
     o = np.stack([x, np.full(512, 0.25e-3), np.full(512, 1.0)], 1)
-    return float((searched(backend, [jaxrt.Mesh(vertices=v, faces=np.array([[0, 1, 2], [0, 2, 3]]))], o, [0, 0, -1.0]) < 0).sum())
+    return float(
+        (searched(backend, [jaxrt.Mesh(vertices=v, faces=np.array([[0, 1, 2], [0, 2, 3]]))], o, [0, 0, -1.0]) < 0).sum()
+    )
 
 
 def degenerate(backend: str) -> float:

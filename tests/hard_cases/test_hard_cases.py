@@ -1,10 +1,5 @@
 """Every hard case holds, by all methods that it asks for; the whole table is experiments/hard_cases'."""
 
-import os
-import subprocess
-import sys
-from pathlib import Path
-
 import pytest
 from cases import every, rows_of
 

@@ -42,7 +42,9 @@ def drawn(folder, scale, move):
     to = f'<scale value="{scale}"/><translate x="{move}" y="{-2 * move}" z="{move}"/>'
     place = lambda *p: ", ".join(repr(v * scale + move * m) for v, m in zip(p, (1, -2, 1), strict=True))
     places = {"at": place(-1.0, -1.5, 2.0), "eye": place(0.3, -4.0, 1.2), "aim": place(0.0, 0.0, 0.7)}
-    (folder / "scene.xml").write_text(SCENE.format(to=to, power=3 * scale**2, near=1e-2 * scale, far=1e2 * scale, **places))
+    (folder / "scene.xml").write_text(
+        SCENE.format(to=to, power=3 * scale**2, near=1e-2 * scale, far=1e2 * scale, **places)
+    )
     scene = jaxrt.load(folder / "scene.xml")
     return scene, jaxrt.render(scene, 32, seed=1, method="path")
 
