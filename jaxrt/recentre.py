@@ -61,8 +61,8 @@ def coarse(description: Description) -> list[str]:
         size, step = float(np.ptp(v, axis=0).max()), float(np.abs(v).max()) * 2.0**-23
         if size < COARSE * step and (v == v.astype(np.float32)).all():
             notes.append(
-                f"{shape.id or 'mesh'}: its vertices are {size:.2g} apart and known to {step:.1g}, for float32 holds no "
-                "more so far from the origin; store them about their middle and move them by to_world"
+                f"{shape.id or 'mesh'}: its vertices are {size:.2g} apart and known to {step:.1g}, for float32 holds "
+                "no more so far from the origin; store them about their middle and move them by to_world"
             )
     return notes
 

@@ -32,11 +32,8 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true", help="only cases that the README's tests run")
     parser.add_argument("--float32", action="store_true", help="leave float64 out")
     args = parser.parse_args()
-    asked = [
-        c
-        for c in cases.every()
-        if (c.quick or not args.quick) and (not args.names or any(n in c.name for n in args.names))
-    ]
+    named = lambda case: not args.names or any(name in case.name for name in args.names)
+    asked = [case for case in cases.every() if (case.quick or not args.quick) and named(case)]
     rows, failing = [], {c.name: c.fails for c in asked if c.fails}
     for k, case in enumerate(asked):
         for double in (False, True)[: 1 if args.float32 else 2]:
@@ -44,8 +41,10 @@ def main() -> None:
             for row in cases.rows_of(case, double):
                 rows.append(row)
                 mark = "" if row.holds else "  <-- FAILS" + (", as known" if case.fails else "")
-                print(f"{row.case}: {row.method}, {row.precision}, {row.quantity}: {row.found:.7g}, expected {row.expected}, "
-                      f"off {row.error:.2g}, limit {row.limit:.2g}{mark}")  # fmt: skip
+                print(
+                    f"{row.case}: {row.method}, {row.precision}, {row.quantity}: {row.found:.7g}, "
+                    f"expected {row.expected}, off {row.error:.2g}, limit {row.limit:.2g}{mark}"
+                )
             print(f"    [{k + 1} of {len(asked)}] {time.perf_counter() - began:.1f} s", flush=True)
     results = HERE / "results"
     results.mkdir(exist_ok=True)

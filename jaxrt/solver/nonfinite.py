@@ -1,5 +1,7 @@
-"""Samples that are no numbers: which they are, and where on their way they ceased to be. Looked for only where a picture
-holds such a value; the paths are then followed once more, edge by edge."""
+"""Samples that are no numbers: which they are, and where on their way they ceased to be.
+
+Looked for only where a picture holds such a value; the paths are then followed once more, edge by edge.
+"""
 
 from __future__ import annotations
 

@@ -98,9 +98,9 @@ def render(  # pyright: ignore[reportInconsistentOverload]  # options are those 
     the same within rounding. `memory`: bytes that picture and pixels in flight may take, by default a quarter of the
     machine's. `sampler`: sobol, or independent: samples that know nothing of one another. `aov`: what `Solution.aovs`
     is to hold of the first surface that each pixel sees: depth, normal, geo_normal, albedo, uv, position, face, each
-    also under another name as "name:depth"; by default what the scene file asks. `debug`: whether the first sample that
-    is not finite is an error, `NonFiniteError`, with its path; else it is told in `stats`. `progress`: called with the share
-    done. Raises `SceneError` for wrong arguments.
+    also under another name as "name:depth"; by default what the scene file asks. `debug`: whether the first sample
+    that is not finite is an error, `NonFiniteError`, with its path; else `stats` tells of it. `progress`: called with
+    the share done. Raises `SceneError` for wrong arguments.
     """
     began, spent = time.perf_counter(), seconds_spent()
     goal = _goal(spp, rtol, seconds)

@@ -77,9 +77,9 @@ def _texel_irradiance() -> float:
     return 1e6 * 2 * PI / WIDE * step * np.trapezoid((1 - np.abs(t)) * np.sin(theta) * np.cos(theta), t)
 
 
-def many(count: int, spread: float = 1.0) -> jaxrt.Scene:
-    """A square lamp at height 1 in so many triangles; every second pair is `spread` times as bright in the mean."""
-    n = int(round(np.sqrt(count / 2)))
+def many(count: int) -> jaxrt.Scene:
+    """A square lamp at height 1 in so many triangles."""
+    n = round(float(np.sqrt(count / 2)))
     x, y = np.meshgrid(np.linspace(-0.5, 0.5, n + 1), np.linspace(-0.5, 0.5, n + 1))
     v = np.stack([x.ravel(), y.ravel(), np.ones(x.size)], 1)
     i = (np.arange(n)[:, None] * (n + 1) + np.arange(n)).ravel()
