@@ -65,7 +65,8 @@ class Tally:
         bright by chance has a large variance by the same chance, which would hide it. NaN for pixels that are not
         finite, which have no say in the others' share.
         """
-        if not (finite := np.isfinite(self.sums).all((1, 2))).all():
+        finite = np.isfinite(self.sums).all((1, 2))
+        if not np.all(finite):
             others = copy.copy(self)
             others.sums = np.where(finite[:, None, None], self.sums, 0.0)
             return np.where(finite, others.relative_variances(apart), np.nan)
