@@ -195,14 +195,13 @@ class Batch(Picture):
 
 
 class Rays(Begin):
-    """Paths along given rays, (N, 3) each. A surface on which a ray begins is not in its way."""
+    """Paths along given rays, (N, 3) each."""
 
     points: Any
     directions: Any
 
     def __call__(self, world: World, number: Any, s: Stream) -> PathState:
-        d = normalise(Vec3.of(self.directions[number]))
-        return start(world, Vec3.of(self.points[number]) + d * world.epsilon, d)
+        return start(world, Vec3.of(self.points[number]), normalise(Vec3.of(self.directions[number])))
 
 
 class Meters(Begin):

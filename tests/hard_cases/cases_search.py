@@ -8,7 +8,7 @@ import helpers
 import jax
 import jax.numpy as jnp
 import numpy as np
-from cases import Fact
+from cases import Fact, plate
 
 import jaxrt
 from jaxrt.vector import Frame, Vec3
@@ -113,6 +113,14 @@ def misses() -> float:
     return float(max(np.abs(np.nan_to_num(a, nan=np.inf)).max() for a in found.values()))
 
 
+def camera_on_a_surface() -> float:
+    """The one pixel of a camera that stands on a floor and looks up to a lamp of radiance 2; its near plane is off it."""
+    floor, lamp = plate((0, 0, 0), [1, 0, 0], [0, 1, 0]), plate((0, 0, 1), [0, 1, 0], [1, 0, 0], emission=2.0)
+    view = helpers.camera((0, 0, 0), (0, 0, 1), 1, 1, 10.0, up=(0, 1.0, 0))
+    scene = jaxrt.Scene.build([floor, lamp], sensors=[view])
+    return float(jaxrt.render(scene, 16, max_depth=1, method="path").image[0, 0, 0])
+
+
 _SQUARE = np.array([[-0.5, -0.5, 0], [0.5, -0.5, 0], [0.5, 0.5, 0], [-0.5, 0.5, 0]])
 _sigma = lambda omega: 4.5 * np.sqrt(omega * (4 * np.pi - omega) / (1 << 18))
 BACKENDS = ("dense", "bvh", "embree")
@@ -133,5 +141,6 @@ CASES = [
          "radiometry", _sigma(2.1)),
     Fact("solid angle of an octant", functools.partial(solid_angle, np.eye(3) * 1.0, np.zeros(3)), np.pi / 2, "Girard",
          _sigma(1.6)),
+    Fact("a camera on a surface, one pixel", camera_on_a_surface, 2.0, "its radiance", 1e-5, method="path", quick=True),
     Fact("cotangents of rays that miss", misses, 0.0, "nothing is seen", method="path", quick=True),
 ]  # fmt: skip
