@@ -24,7 +24,7 @@ def metal(alpha: float) -> jaxrt.Scene:
 def towards(mu: float) -> Look:
     """A ray that meets the origin's plate at cosine μ."""
     o = np.array([np.sqrt(1 - mu * mu), 0, mu])
-    return Look(o, -o, 1.0)
+    return Look(3.0 * o, -o, 1.0)
 
 
 def furnace(alpha: float, mu: float, want: float, **more: Any) -> Case:
