@@ -102,7 +102,7 @@ CASES = [
          quick=True),
     Case("light that glass has caught", cube_of_glass, Look((0.1, 0.2, 0.3), (1.0, 1.0, 0.02), 1.0), 0.0,
          "total internal reflection", depth=50, quick=True),
-    Case("light within a ball of glass", functools.partial(glass, 1.5), Look((0, 0, 0), (0, 0, 1.0), 1.0), 1.0, "furnace",
+    Case("light within a ball of glass", functools.partial(glass, 1.5), Look((0, 0, 0), (0, 0, 1.0), 1.0), 2.25, "furnace, n²",
          depth=60, rtol=1e-3),
     Case("facing mirrors", functools.partial(facing, 0.9), Look((0, 0, 0.5), (0, 0, 1.0), 1.0), 10 * (1 - 0.9**40),
          "geometric series", depth=40, slope=Slope("light.radiance", 1.0, 10 * (1 - 0.9**40))),
