@@ -273,7 +273,7 @@ def square(center: Any, a: Any, b: Any, n: int = 8, height: float = 1e-3) -> Loo
     u, v = (m.ravel() for m in np.meshgrid(at, at))
     up = np.cross(a, b) / np.linalg.norm(np.cross(a, b))
     points = np.asarray(center, float) + u[:, None] * a + v[:, None] * b
-    return Look(points + height * up, -up, np.outer(weight, weight).ravel())
+    return Look(points + height * up, np.broadcast_to(-up, points.shape), np.outer(weight, weight).ravel())
 
 
 def point(at: Any = (0.0, 0.0, 0.0), normal: Any = (0.0, 0.0, 1.0), height: float = 1e-3) -> Look:
