@@ -76,7 +76,8 @@ class Case:
 
 @dataclasses.dataclass(frozen=True)
 class Fact:
-    """One number that is no mean of radiance: what `find` gives, from `want` to `most`, within `limit`."""
+    """One number that is no mean of radiance: what `find` gives, from `want` to `most`, within `limit`. `double`: whether
+    it can be asked in float64."""
 
     name: str
     find: Callable[[], float]
@@ -85,6 +86,7 @@ class Fact:
     limit: float = 0.0
     most: float | None = None
     method: str = "search"
+    double: bool = True
     quick: bool = False
     fails: str = ""
 
@@ -169,6 +171,8 @@ def rows_of(case: Case | Fact, double: bool = False) -> Iterator[Row]:
     with jax.enable_x64(double):
         precision = "float64" if double else "float32"
         if isinstance(case, Fact):
+            if double and not case.double:
+                return
             found = float(case.find())
             error = _off(found, case.want, case.most)
             yield Row(case.name, case.method, precision, "value", found, _said(case), 0.0, error, case.limit)
@@ -177,6 +181,8 @@ def rows_of(case: Case | Fact, double: bool = False) -> Iterator[Row]:
         tables = dataclasses.replace(scene, structure=Structure(), plan=None)
         rays, keys = _padded(case.look), jnp.arange(KEYS, dtype=jnp.uint32)
         for backend in (None, *case.backends):
+            if double and backend == "embree":  # which computes in float32
+                continue
             plan = jaxrt.plan(scene, backend=backend)
             found = _by_path(tables, rays, keys, plan, case.spp, case.depth)
             named = "path" if backend is None else f"path, {backend}"
