@@ -65,7 +65,7 @@ class Tally:
         bright by chance has a large variance by the same chance, which would hide it. NaN for pixels that are not
         finite, which have no say in the others' share.
         """
-        finite = np.isfinite(self.sums).all((1, 2))
+        finite = np.all(np.isfinite(self.sums), axis=(1, 2))
         if not np.all(finite):
             others = copy.copy(self)
             others.sums = np.where(finite[:, None, None], self.sums, 0.0)

@@ -68,6 +68,7 @@ def test_a_tolerance_ends_as_well():
     assert sol.failed and np.isnan(sol.error.claim) and sol.stats["nonfinite"] > 0
 
 
+@pytest.mark.slow
 def test_a_field_of_it_is_not_found():
     room = box_room(0.5, {"ceiling": 1.0})
     sol = jaxrt.render(jaxrt.with_params(room, {"wall.reflectance": np.nan}), 16, max_depth=-1, method="field")
