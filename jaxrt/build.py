@@ -111,9 +111,11 @@ def build(
     integrator: Integrator | None = None,
     channels: int | None = None,
     source: str = "",
+    origin: tuple[float, float, float] = (0.0, 0.0, 0.0),
 ) -> Scene:
     """A scene from parts.
 
+    `origin`: where in the world the point is from which all of them are counted, which `Scene.origin` keeps (m).
     `channels`: length of a spectrum; by default the longest that a part has. Raises `SceneError`
     for a scene without shapes and for spectra of other lengths.
     """
@@ -308,6 +310,7 @@ def build(
             sensor_ids=tuple(views.ids),
             integrator=dataclasses.astuple(integrator),
             source=source,
+            origin=origin,
         ),
     )
     return dataclasses.replace(scene, plan=plan(scene))

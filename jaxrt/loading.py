@@ -12,6 +12,7 @@ from .build import build
 from .files import load_description
 from .files.view import scene_points
 from .parts import Description
+from .recentre import coarse, recentred
 from .scene import CAMERAS, Scene
 
 
@@ -19,10 +20,12 @@ def load(path: str | Path, /, **defaults: Any) -> Scene:
     """A scene from a Mitsuba 3 `.xml`, or a `.glb`, `.gltf`, `.obj` or `.ply`; `defaults` fill $names of an XML.
 
     Colours become linear RGB, three channels. What a loader had to replace or ignore is said on stderr.
+    A scene far from the origin is counted from `Scene.origin`: its parameters, points and positions are.
     Raises `SceneError` (a ValueError) with one line that names the file, the element and the remedy.
     """
-    description = load_description(path, **defaults)
-    for note in (*description.notes, *_beyond(description)):
+    given = load_description(path, **defaults)
+    description, origin = recentred(given)
+    for note in (*description.notes, *coarse(given), *_beyond(description)):
         print(note if str(path) in note else f"{path}: {note}", file=sys.stderr)
     return build(
         description.shapes,
@@ -32,6 +35,7 @@ def load(path: str | Path, /, **defaults: Any) -> Scene:
         integrator=description.integrator,
         channels=3,
         source=str(path),
+        origin=tuple(origin.tolist()),
     )
 
 

@@ -101,6 +101,7 @@ class Structure:
     sensor_ids: tuple[str, ...] = ()
     integrator: tuple[Any, ...] = dataclasses.astuple(Integrator())
     source: str = ""
+    origin: tuple[float, float, float] = (0.0, 0.0, 0.0)  # where in the world all is counted from, m
 
     def asked(self) -> Integrator:
         return Integrator(*self.integrator)
@@ -170,6 +171,11 @@ class Scene(eqx.Module):
     @property
     def channels(self) -> int:
         return self.radiance.shape[-1]
+
+    @property
+    def origin(self) -> np.ndarray:
+        """The point of the world from which parameters, points and positions are counted, (3,) float64, m."""
+        return np.array(self.structure.origin)
 
     def offset(self, kind: str) -> int:
         """Number of the first face of a kind."""

@@ -121,7 +121,7 @@ def _cast(scene, o, d, plan, exclude):
 
 def hits(scene, o, d, exclude=None, plan=None):
     """ψ from points along directions, (N, 3) each: a `SurfacePoint` with numpy leaves."""
-    o, d = (np.asarray(a, np.float32) for a in np.broadcast_arrays(o, d))
+    o, d = (np.asarray(a, jnp.result_type(float)) for a in np.broadcast_arrays(o, d))
     x = _cast(scene, o, d, plan or jaxrt.plan(scene, **search), exclude)
     return jax.tree.map(np.asarray, x)
 
@@ -140,7 +140,7 @@ def _bounce(scene, o, d, local, plan):
 
 def bounces(scene, o, d, local, plan=None):
     """First hits x, directions w with local coordinates `local` about x's normal, and what x sees along w."""
-    o, d, local = (np.asarray(a, np.float32) for a in np.broadcast_arrays(o, d, local))
+    o, d, local = (np.asarray(a, jnp.result_type(float)) for a in np.broadcast_arrays(o, d, local))
     return jax.tree.map(np.asarray, _bounce(scene, o, d, local, plan or jaxrt.plan(scene, **search)))
 
 

@@ -18,7 +18,7 @@ def exact(a):
 
 
 def check(got, want, rtol=ROUNDING, atol=0.0):
-    assert got.dtype == jnp.float32
+    assert got.dtype == jnp.result_type(float)
     np.testing.assert_allclose(got, want, rtol=rtol, atol=atol)
 
 

@@ -49,6 +49,7 @@ def add(commands: Any, scene: argparse.ArgumentParser) -> None:
         help="put into the EXR what pixels see first: any of depth,normal,geo_normal,albedo,uv,position,face, or "
         "name:depth, ...; default: what the scene asks",
     )  # fmt: skip
+    add("--debug", action="store_true", help="stop at the first sample that is not finite, and show its path")
     add("--exposure", metavar="E", type=stops, default=0.0, help="brightness of the PNG in stops")
     parser.set_defaults(run=run)
 
@@ -59,26 +60,32 @@ def run(args: argparse.Namespace) -> None:
             raise MistakeError(f"--{name}: is given beside --spp; give one of them")
     exr, png = _outputs(args.scene, args.output)
     scene = load(args)
+    from ..solver.nonfinite import NonFiniteError
     from ..solver.render import render, resized
 
     sensors = range(len(scene.structure.sensors)) if args.sensor is None else args.sensor
     for sensor in sensors if args.size else ():
         scene = resized(scene, sensor, *args.size)
-    with progress_bar() as progress:
-        found = render(
-            scene,
-            args.spp,
-            args.seed,
-            rtol=args.rtol,
-            seconds=None if args.seconds is None else max(args.seconds - (time.perf_counter() - BEGAN), 0.1),
-            foretold=tell_costs,
-            method=args.method,
-            max_depth=args.max_depth,
-            sensor=list(sensors),
-            memory=args.memory * 1e6 if args.memory else None,
-            aov=args.aov,
-            progress=progress,
-        )
+    try:
+        with progress_bar() as progress:
+            found = render(
+                scene,
+                args.spp,
+                args.seed,
+                rtol=args.rtol,
+                seconds=None if args.seconds is None else max(args.seconds - (time.perf_counter() - BEGAN), 0.1),
+                foretold=tell_costs,
+                method=args.method,
+                max_depth=args.max_depth,
+                sensor=list(sensors),
+                memory=args.memory * 1e6 if args.memory else None,
+                aov=args.aov,
+                debug=args.debug,
+                progress=progress,
+            )
+    except NonFiniteError as error:
+        print(f"jaxrt: {error}", file=sys.stderr)
+        raise SystemExit(1) from None
     for sensor, sol in zip(sensors, found, strict=True):
         files = [f if len(found) == 1 else f.with_stem(f"{f.stem}-{sensor}") for f in (exr, png)]
         sol.save(files[0])
@@ -90,10 +97,15 @@ def run(args: argparse.Namespace) -> None:
             )
         if sol.stats["nonfinite"]:
             print(
-                f"jaxrt: {sol.stats['nonfinite']} values are not finite; they are magenta in {files[1]}",
+                f"jaxrt: {sol.stats['nonfinite']} values are not finite; they are magenta in {files[1]}{_first(sol)}",
                 file=sys.stderr,
             )
         print(f"{files[0]}, {files[1]}: {_closing(sol)}")
+
+
+def _first(sol: Solution) -> str:
+    """The first sample that is not finite."""
+    return "".join(f"; the first: {one}" for one in sol.stats["nonfinite_at"][:1])
 
 
 def _closing(sol: Solution) -> str:

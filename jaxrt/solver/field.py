@@ -319,6 +319,8 @@ def for_picture(
 
 def unsolved(radius: float) -> str:
     """Why a field was not found, from the spectral radius of its T, and what helps."""
+    if not np.isfinite(radius):
+        return "what surfaces reflect is not finite; take the method path, which says where"
     if radius > 1.0 - 1e-4:
         return (
             f"no solution exists: the spectral radius of KG is {radius:.6f}, so light grows at every bounce; "

@@ -272,7 +272,8 @@ def radiance(
     max_depth: int | None = None,
     boundary: bool = True,
 ) -> Float[Array, "*batch channels"]:
-    """Radiance that arrives at points (m) along rays: L(ψ(o, ω), −ω), W·m⁻²·sr⁻¹. Directions are normalised.
+    """Radiance that arrives at points (m) along rays: L(ψ(o, ω), −ω), W·m⁻²·sr⁻¹. Directions are normalised. A ray that
+    begins on a surface meets it; begin it off it by more than rounding, a millionth of the scene's size.
 
     Pure like `measure`, and differentiable as it is, in points and directions too.
     """

@@ -191,6 +191,7 @@ def _reflect(world: World, depths: Depths, state: PathState, landing: Landing, n
     most = sg(beta.max())
     if state.before is not None:  # black surfaces reflect nothing, but their derivative does
         most = jnp.where((most > 0) | ~((node.pdf > 0) | node.delta), most, 0.05)
+    radiance = radiance.map(lambda c: c + jnp.where(alive & (most != most), most, 0.0))  # which would end unseen
     survive = jnp.where(depth >= depths.rr_depth, jnp.clip(most, 0.0, 0.95), 1.0)
     alive = alive & (most > 0) & (s.pair_at(2)[1] < survive)
     beta = beta * (1.0 / jnp.where(survive > 0, survive, 1.0))

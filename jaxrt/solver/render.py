@@ -18,7 +18,7 @@ from ..effects import plan as make_plan
 from ..parts import SceneError
 from ..sampling.independent import SAMPLERS
 from ..sampling.sobol import seed_of
-from ..scene import Scene, in_working_precision
+from ..scene import Scene, Structure, in_working_precision
 from ..world import World, prepared
 from . import path
 from .aov import aovs, checked
@@ -28,6 +28,7 @@ from .choose import choose
 from .field import SOLVED
 from .lamps import TAKES, borders
 from .measure import PASS, depths_of, lanes_of, seen_by, view_of
+from .nonfinite import located
 from .remainder import Series, series
 from .solution import Solution, solution_of
 from .tally import Tally
@@ -79,6 +80,7 @@ def render(  # pyright: ignore[reportInconsistentOverload]  # options are those 
     memory: float | None = None,
     sampler: Literal["sobol", "independent"] = "sobol",
     aov: Sequence[str] | None = None,
+    debug: bool = False,
     progress: Callable[[float], None] | None = None,
     foretold: Callable[[list[Forecast]], None] | None = None,
 ) -> Solution | list[Solution]:
@@ -96,8 +98,9 @@ def render(  # pyright: ignore[reportInconsistentOverload]  # options are those 
     the same within rounding. `memory`: bytes that picture and pixels in flight may take, by default a quarter of the
     machine's. `sampler`: sobol, or independent: samples that know nothing of one another. `aov`: what `Solution.aovs`
     is to hold of the first surface that each pixel sees: depth, normal, geo_normal, albedo, uv, position, face, each
-    also under another name as "name:depth"; by default what the scene file asks. `progress`: called with the share
-    done. Raises `SceneError` for wrong arguments.
+    also under another name as "name:depth"; by default what the scene file asks. `debug`: whether the first sample
+    that is not finite is an error, `NonFiniteError`, with its path; else `stats` tells of it. `progress`: called with
+    the share done. Raises `SceneError` for wrong arguments.
     """
     began, spent = time.perf_counter(), seconds_spent()
     goal = _goal(spp, rtol, seconds)
@@ -105,6 +108,7 @@ def render(  # pyright: ignore[reportInconsistentOverload]  # options are those 
     spp = scene.structure.asked().spp if spp is None else spp
     exact = goal is not None
     job = _job(scene, spp, seed, sensors, exact, method, max_depth, rr_depth, plan, chunk, memory, sampler)
+    job = job._replace(watched=scene.structure if debug else None)
     names = checked(scene.structure.asked().aovs if aov is None else aov, job.views)
     with ThreadPoolExecutor(cores()) as pool:
         way = job.fixed(pool) if goal is None else job.approach(pool, goal, max_depth is None)
@@ -120,6 +124,10 @@ def render(  # pyright: ignore[reportInconsistentOverload]  # options are those 
                 share = Goal(way.samples_error(goal.error, k), time.perf_counter() + rest)
                 tally = reach(workers, share, way.pilots[k], tell)
             sol = solution_of(tally, workers.size, job.plan.out_channels if workers.tones is None else 1)
+            if sol.stats["nonfinite"]:
+                bad = np.flatnonzero(~np.isfinite(sol.image).all(-1))
+                count, first = located(workers, tally.seed, scene.structure, bad, tally.taken[bad])
+                sol.stats |= {"nonfinite_samples": count, "nonfinite_at": first}
             if goal is not None:
                 sol.error = way.whole_error(sol.error, k)
             sol.aovs = aovs(job.world, workers.view, job.key, max(int(sol.spp.mean()), 1), names, pool)
@@ -211,6 +219,7 @@ class _Job(NamedTuple):
     spp: int
     method: str
     sampler: str
+    watched: Structure | None = None  # names, where the first sample that is not finite is an error
 
     @property
     def paths(self) -> int:
@@ -227,7 +236,9 @@ class _Job(NamedTuple):
         if series is not None and field is None:
             depths = dataclasses.replace(depths, max_depth=np.int32(series.max_depth))
         depths = seen_by(view, depths)
-        return Workers(self.world, view, depths, field, pool, self.lanes[k], pixels, self.tones[k], self.sampler)
+        workers = Workers(self.world, view, depths, field, pool, self.lanes[k], pixels, self.tones[k], self.sampler)
+        workers.watched = self.watched
+        return workers
 
     def fixed(self, pool: Executor) -> Approach:
         """The method for so many samples a pixel."""

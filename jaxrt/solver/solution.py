@@ -20,6 +20,9 @@ def standard_error(variance: np.ndarray) -> np.ndarray:
     gives about 20, so that normal quantiles have the right coverage. Totals over the picture are better taken
     of the unpooled variance, which does not spread from highlights.
     """
+    if not (finite := np.isfinite(variance)).all():  # what is none in a pixel is no matter of its neighbours
+        share, known = pooled(np.where(finite, variance, 0.0)), pooled(finite.astype(variance.dtype))
+        return np.where(finite, np.sqrt(share / np.maximum(known, 1e-6)), np.nan)
     height, above = len(variance), variance[:0].copy()
     for start in range(0, height, 256):  # in bands, each with a row of its neighbours
         stop = min(start + 256, height)
@@ -46,6 +49,13 @@ def _pooled(v: np.ndarray, axis: int) -> np.ndarray:
         out[[0, -1]] *= 4 / 3
         v = out
     return np.moveaxis(v, 0, axis)
+
+
+def share_of_most(values: np.ndarray, share: float = 1e-3) -> float:
+    """What the largest of some values hold of their sum, so many of them but one at least; 0 where that is 0."""
+    values, k = np.nan_to_num(values.ravel()), max(round(share * values.size), 1)
+    total = values.sum(dtype=np.float64)
+    return float(np.partition(values, -k)[-k:].sum(dtype=np.float64) / total) if total > 0 else 0.0
 
 
 def block_means(image: np.ndarray, side: int) -> np.ndarray:
@@ -104,7 +114,9 @@ class Solution:
 
     image: radiance, W·m⁻²·sr⁻¹. stderr: standard error of each value (NaN below two samples a pixel).
     error: its parts and what it stays below. spp: samples of each pixel (H, W).
-    stats: samples, spp, rays, max_depth, bounces, method, why, threads, nonfinite,
+    stats: samples, spp, rays, max_depth, bounces, method, why, threads, nonfinite (values of the picture that are not
+    finite; and if there are any, nonfinite_samples: samples found to be so, and nonfinite_at: the first of them),
+    outliers (what the brightest pixels in a thousand hold of the picture's energy, and those of most variance of that),
     seconds_compile (making programs), seconds_solve (of a field), seconds_run (the rest); with a field also elements,
     directions, field_iterations, field_bytes. aovs: what pixels see first, by name, as `render` was asked.
     """
@@ -163,9 +175,15 @@ def solution_of(tally: Tally, size: tuple[int, int], channels: int) -> Solution:
     shares, (image, variance) = tally.relative_variances(), tally.found()
     tally.sums = tally.sums[:0]  # which in large pictures is most of the memory
     image, variance, spp = (a.reshape(size[1], size[0], -1) for a in (image, variance, tally.taken))
+    outliers = {"energy": share_of_most(image.mean(-1)), "variance": share_of_most(variance.mean(-1))}
     known = not np.isnan(variance).all()  # one sample alone says nothing of its error
     stderr = standard_error(variance) if known else variance
-    stats = {"samples": tally.samples, "rays": tally.rays, "nonfinite": int((~np.isfinite(image)).sum())}
+    stats = {
+        "samples": tally.samples,
+        "rays": tally.rays,
+        "nonfinite": int((~np.isfinite(image)).sum()),
+        "outliers": outliers,
+    }
     image, stderr = (a if a.shape[2] == channels else np.repeat(a, channels, 2) for a in (image, stderr))
     expected, claim = statistical(shares)
     error = Error(expected, claim=claim, each={"statistical": stderr})

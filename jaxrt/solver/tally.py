@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from typing import Any
 
 import numpy as np
@@ -61,8 +62,14 @@ class Tally:
         """What each pixel adds to relMSE, (n,): the variance of its mean over the square of that.
 
         If `apart`, and where there are sets enough, one half of them tells the variance and the other the mean: what is
-        bright by chance has a large variance by the same chance, which would hide it.
+        bright by chance has a large variance by the same chance, which would hide it. NaN for pixels that are not
+        finite, which have no say in the others' share.
         """
+        finite = np.all(np.isfinite(self.sums), axis=(1, 2))
+        if not np.all(finite):
+            others = copy.copy(self)
+            others.sums = np.where(finite[:, None, None], self.sums, 0.0)
+            return np.where(finite, others.relative_variances(apart), np.nan)
         n, sets, channels = self.sums.shape
         bands = [slice(k, k + BAND) for k in range(0, n, BAND)]
         square = sum(float(np.square(self._mean(b, range(sets))).sum(dtype=np.float64)) for b in bands)

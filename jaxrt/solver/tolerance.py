@@ -85,14 +85,19 @@ class Pilot(NamedTuple):
         return float(np.hypot(self.claim * times ** (-STEEP / 2), off))
 
 
+def _shares(tally: Tally, apart: bool = True) -> np.ndarray:
+    """What pixels add to relMSE; of those that are not finite nothing, for samples do not mend them."""
+    return np.nan_to_num(tally.relative_variances(apart))
+
+
 def _claim(tally: Tally) -> float:
-    return statistical(tally.relative_variances())[1]
+    return statistical(_shares(tally))[1]
 
 
 def _lasting(tally: Tally) -> float:
     """What of the claim of few samples is there to stay, for forecasts: all sets say too little, but all alike; halves
     say of each other too much where one sample is bright, and are believed as far as they scatter little."""
-    (plain, above), (apart, more) = (statistical(tally.relative_variances(halves)) for halves in (False, True))
+    (plain, above), (apart, more) = (statistical(_shares(tally, halves)) for halves in (False, True))
     if not 0 < plain < apart:
         return above
     scatter = np.log(more / apart) / 1.645
@@ -117,7 +122,7 @@ def pilot(workers: Workers, key: Any, goal: Goal) -> Pilot:
     else:
         many = PILOT
     _take(workers, even, np.full(workers.n, many))
-    shares, rate = even.relative_variances(), speed()
+    shares, rate = _shares(even), speed()
     if statistical(shares)[1] <= goal.error or goal.left < MORE * rate * even.samples:
         return Pilot(even, even, np.ones(workers.n), _lasting(even), rate)
     each = allotted(pooled(pooled(shares.reshape(workers.size[::-1]))).ravel())  # one pixel's four sets say little

@@ -14,10 +14,12 @@ import numpy as np
 from ..compiler import cores, program
 from ..parts import SceneError
 from ..sampling.independent import SAMPLERS
+from ..scene import Structure
 from ..world import World
 from . import path
 from .begin import Picture
 from .measure import PASS
+from .nonfinite import refuse
 from .tally import Tally
 
 FEW_SAMPLES, ROWS = 64, 16
@@ -97,8 +99,10 @@ def missing(have: np.ndarray, want: np.ndarray, order: np.ndarray, most: int = P
 class Workers:
     """Threads that take samples of one view's pixels into a `Tally`, each call a few rows of lanes of `pixels` each.
 
-    Sums do not depend on which thread was faster.
+    Sums do not depend on which thread was faster. `watched`: names, where a sum that is not finite is an error.
     """
+
+    watched: Structure | None = None
 
     def __init__(
         self, world: World, view: Picture, depths: path.Depths, field: Any, pool: Executor, lanes: int, pixels: int,
@@ -110,7 +114,7 @@ class Workers:
         self.n = self.size[0] * self.size[1]
         self.channels = world.plan.channels if tones is None else 1
         one = self._in_rows(Batch(1, 0, 1).part(0, 1, self.size))
-        self.run = program(path.trace_rows, *self.args, self._seed(np.uint32(0)), *one, np.int32(1), field)
+        self.run = program(path.trace_rows, *self.args, self.seeded(np.uint32(0)), *one, np.int32(1), field)
 
     def seeing(self, view: Picture, depths: path.Depths) -> Workers:
         """The same threads for another view or other depths."""
@@ -118,7 +122,7 @@ class Workers:
             self.args[0], view, depths, self.field, self.pool, self.lanes, self.pixels, self.tones, self.sampler
         )
 
-    def _seed(self, seed: Any) -> Any:
+    def seeded(self, seed: Any) -> Any:
         return SAMPLERS[self.sampler](seed)
 
     def tally(self, seed: Any, exact: bool = True) -> Tally:
@@ -138,7 +142,7 @@ class Workers:
             batch, start, end = one
             part: tuple[np.ndarray, ...] = batch.part(start, end, self.size)
             count = np.int32(-(-(end - start) // (self.lanes * self.pixels)))
-            values, cast = self.run(*self.args, self._seed(tally.seed), *self._in_rows(part), count, self.field)
+            values, cast = self.run(*self.args, self.seeded(tally.seed), *self._in_rows(part), count, self.field)
             values = np.asarray(values)[:count].swapaxes(1, 2)  # (rows, pixels of a lane, lanes, sets, C)
             values = values.reshape(-1, *values.shape[3:])[: end - start]
             cast = np.asarray(cast)[:count].reshape(-1)
@@ -153,6 +157,8 @@ class Workers:
             for k, found in enumerate(self.pool.map(call, calls)):
                 if found is not None:
                     part, values, cast = found
+                    if self.watched is not None:
+                        refuse(self, tally.seed, self.watched, part, values)
                     tally.add(part[0], part[1], part[2], values)
                     tally.rays += cast
                 if tell:
