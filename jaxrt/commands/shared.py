@@ -27,7 +27,10 @@ def load(args: argparse.Namespace) -> Any:
         cache.use()
     from ..loading import load
 
-    return load(args.scene, **dict(args.defaults))
+    defaults = dict(args.defaults)
+    if "sandbox" in defaults:
+        raise MistakeError("-D: sandbox cannot be a name of a scene's; rename it there")
+    return load(args.scene, sandbox=args.sandbox, **defaults)
 
 
 @contextlib.contextmanager

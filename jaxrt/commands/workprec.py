@@ -39,7 +39,7 @@ def run(args: argparse.Namespace) -> None:
         report = work_precision(
             scene,
             Path(args.scene).stem,
-            file=args.scene,
+            file=None if args.sandbox else args.scene,  # for Mitsuba, which knows no sandbox
             defaults=dict(args.defaults),
             seconds=args.seconds or seconds,
             side=side,

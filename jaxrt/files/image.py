@@ -5,13 +5,14 @@ from __future__ import annotations
 import contextlib
 import os
 import secrets
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import NoReturn
+from typing import Any, NoReturn
 
 import numpy as np
 
 from ..parts import SceneError
+from .reading import VALUE, credit, regular, take
 
 unfinished: set[str] = set()
 """Files that are being written, by their temporary names."""
@@ -123,28 +124,22 @@ def read_exr(path: str | Path) -> tuple[np.ndarray, np.ndarray | None, dict[str,
     def refuse(problem: str) -> NoReturn:
         raise SceneError(f"{path}: {problem}")
 
+    size = regular(path)
     try:
-        if not Path(path).is_file():
-            refuse("no such file; check the path")
         with Path(path).open("rb") as start:
             if start.read(4) != b"\x76\x2f\x31\x01":
                 refuse("is not an EXR file; check the path")
         with OpenEXR.File(str(path), header_only=True) as file:
-            low, high = (np.asarray(v, np.int64) for v in file.header()["dataWindow"])
-            width, height = (int(n) + 1 for n in high - low)
-            # Even black compresses to some 100 pixels a byte. Checked before OpenEXR reserves what is claimed.
-            if (
-                not (0 < width <= _LARGEST and 0 < height <= _LARGEST)
-                or width * height > 4096 * Path(path).stat().st_size
-            ):
-                refuse(f"claims {width} x {height} pixels, which its size cannot hold; it is damaged")
+            cost = sum(_claimed(part, refuse) for part in file.parts)
+        credit(path, size)
+        take(path, cost, "make its picture smaller", size)  # before OpenEXR reserves what is claimed
         with OpenEXR.File(str(path), separate_channels=True) as file:
             pixels = {name: channel.pixels for name, channel in file.channels().items()}
             header = dict(file.header())
     except SceneError:
         raise
-    except Exception as error:  # OpenEXR and its binding raise RuntimeError, ValueError, TypeError and others
-        raise SceneError(f"{path}: cannot be read as EXR ({str(error)[:80]}); it is damaged, make it again") from error
+    except Exception:  # OpenEXR and its binding raise RuntimeError, ValueError, TypeError and others
+        refuse("cannot be read as EXR; it is damaged, make it again")
 
     def layer(prefix: str) -> np.ndarray | None:
         names = [f"{prefix}{c}" for c in "RGB"]
@@ -160,6 +155,15 @@ def read_exr(path: str | Path) -> tuple[np.ndarray, np.ndarray | None, dict[str,
     if image is None:
         refuse(f"has the channels {', '.join(pixels)[:80] or 'none'}, but not R, G, B or Y; convert it")
     return image, layer("stderr."), {k: v for k, v in header.items() if isinstance(v, str | float | int)}
+
+
+def _claimed(part: Any, refuse: Callable[[str], NoReturn]) -> int:
+    """Bytes of memory that a part of an EXR file leads to, by its header."""
+    low, high = (np.asarray(v, np.int64) for v in part.header["dataWindow"])
+    width, height = (int(n) + 1 for n in high - low)
+    if not (0 < width <= _LARGEST and 0 < height <= _LARGEST):
+        refuse(f"claims {width} x {height} pixels; make it again, with sides up to {_LARGEST}")
+    return VALUE * width * height * max(len(part.header.get("channels", ())), 1)
 
 
 def to_srgb(image: np.ndarray, exposure: float = 0.0) -> np.ndarray:

@@ -1,0 +1,385 @@
+"""Files from strangers: what they may read, how much memory they may take, and that damage is one line."""
+
+import itertools
+import os
+import random
+import re
+import resource
+import subprocess
+import sys
+from pathlib import Path
+
+import hostile
+import numpy as np
+import pytest
+from hostile import WORDS, whole
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import jaxrt
+from jaxrt import cli
+from jaxrt.files import load_description
+from jaxrt.parts import SceneError
+
+SECRET = "topaz:x:7:7:quartz"
+
+
+def shape(kind: str, name: object) -> str:
+    return f'<shape type="{kind}"><string name="filename" value="{name}"/></shape>'
+
+
+def texture(name: object) -> str:
+    inner = f'<texture type="bitmap" name="reflectance"><string name="filename" value="{name}"/></texture>'
+    return f'<shape type="sphere"><bsdf type="diffuse">{inner}</bsdf></shape>'
+
+
+def spectrum(name: object) -> str:
+    return f'<emitter type="constant"><spectrum name="radiance" filename="{name}"/></emitter><shape type="sphere"/>'
+
+
+def include(name: object) -> str:
+    return f'<shape type="sphere"/><include filename="{name}"/>'
+
+
+REFERS = {
+    "obj": lambda name: shape("obj", name),
+    "ply": lambda name: shape("ply", name),
+    "serialized": lambda name: shape("serialized", name),
+    "sdfgrid": lambda name: shape("sdfgrid", name),
+    "bitmap": texture,
+    "envmap": lambda name: (
+        f'<emitter type="envmap"><string name="filename" value="{name}"/></emitter><shape type="sphere"/>'
+    ),
+    "spectrum": spectrum,
+    "include": include,
+}
+"""Each way in which an XML file may name another file."""
+
+
+def refused(path: Path, **options: object) -> str:
+    with pytest.raises(SceneError) as error:
+        load_description(path, **options)
+    message = str(error.value)
+    assert message.isprintable() and str(path.parent) in message
+    return message
+
+
+# ---------------------------------------------------------------------------------------------- the sandbox
+
+
+@pytest.fixture
+def box(tmp_path):
+    """A folder for scenes, with a file beside it that is not theirs."""
+    (tmp_path / "box").mkdir()
+    (tmp_path / "secret.ply").write_bytes(hostile.ply("ascii"))
+    return tmp_path / "box"
+
+
+@pytest.mark.parametrize("kind", sorted(REFERS))
+@pytest.mark.parametrize("way", ["../secret.ply", "../none", "absolute", "link"])
+def test_nothing_outside_of_a_sandbox_is_read(box, kind, way):
+    (box / "link").symlink_to(box.parent / "secret.ply")
+    name = box.parent / "secret.ply" if way == "absolute" else way
+    (box / "a.xml").write_text(whole("", REFERS[kind](name)))
+    assert "lies outside of the sandbox; move it there" in refused(box / "a.xml", sandbox=box)
+
+
+def test_a_sandbox_is_left_out_by_default_and_holds_what_lies_in_it(box):
+    (box / "sub").mkdir()
+    (box / "sub" / "mesh.ply").write_bytes(hostile.ply("ascii"))
+    (box / "inner").symlink_to(box / "sub")
+    (box / "a.xml").write_text(whole('<path value="sub"/>', shape("ply", "mesh.ply") + shape("ply", "inner/mesh.ply")))
+    assert len(load_description(box / "a.xml", sandbox=box).shapes) == 2
+    (box / "a.xml").write_text(whole("", shape("ply", "../secret.ply")))
+    assert len(load_description(box / "a.xml").shapes) == 1
+    assert len(load_description(box / "a.xml", sandbox=box.parent).shapes) == 1
+    (box / "a.xml").write_text(whole('<path value=".."/>', shape("ply", "secret.ply")))
+    assert "outside of the sandbox" in refused(box / "a.xml", sandbox=box)
+
+
+def test_scenes_of_other_formats_in_a_sandbox(box):
+    doc = hostile.document()
+    for uri in ("../secret.ply", "%2e%2e/secret.ply", str(box.parent / "secret.ply")):
+        doc["buffers"] = [{"byteLength": 4, "uri": uri}]
+        (box / "a.gltf").write_text(hostile.json.dumps(doc))
+        assert "outside of the sandbox" in refused(box / "a.gltf", sandbox=box)
+        doc["buffers"] = hostile.json.loads(hostile.gltf())["buffers"]
+        doc["images"], doc["textures"] = [{"uri": uri}], [{"source": 0}]
+        doc["materials"] = [{"pbrMetallicRoughness": {"baseColorTexture": {"index": 0}}}]
+        (box / "a.gltf").write_text(hostile.json.dumps(doc))
+        assert "outside of the sandbox" in refused(box / "a.gltf", sandbox=box)
+    (box.parent / "secret.mtl").write_text("newmtl red\nKd 1 0 0\n")
+    (box / "a.obj").write_bytes(hostile.OBJ.replace(b"a.mtl", b"../secret.mtl"))
+    assert "outside of the sandbox" in refused(box / "a.obj", sandbox=box)
+    assert "outside of the sandbox" in refused(box.parent / "secret.ply", sandbox=box)
+    with pytest.raises(SceneError, match="there is no folder"):
+        jaxrt.load(box / "a.obj", sandbox=box / "no")
+
+
+def test_the_sandbox_of_the_command_line(box, capsys):
+    (box / "a.xml").write_text(whole("", shape("ply", "../secret.ply")))
+    for more, said in ((["--sandbox", str(box)], "outside of the sandbox"), (["-D", "sandbox=x"], "-D: sandbox")):
+        assert cli.main(["explain", str(box / "a.xml"), *more]) == 2
+        assert said in capsys.readouterr().err
+
+
+# -------------------------------------------------------------------------------- what no scene should name
+
+
+@pytest.mark.parametrize("kind", sorted(REFERS))
+def test_no_device_pipe_or_folder_is_opened(tmp_path, kind):
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "loop").symlink_to(tmp_path / "loop")
+    for name in ("/dev/zero", "pipe", "/proc", ".", "loop", "", "a" * 5000, "/proc/self/mem", "/proc/kmsg"):
+        (tmp_path / "a.xml").write_text(whole("", REFERS[kind](name)))
+        with pytest.raises(SceneError, match=r"a\.xml|/proc/.*not well-formed"):
+            load_description(tmp_path / "a.xml")
+
+
+@pytest.mark.parametrize("kind", sorted(REFERS))
+def test_the_content_of_a_file_is_never_quoted(tmp_path, kind):
+    heads = ("", "v ", "f ", "ply\n", "P5 ", "P3\n", "II*\0", "%!PS\n", "<", "<scene ", "400 1\n", "VOL\3")
+    tails = (f"{SECRET}\n", f"{SECRET}\nend_header\n", f"{SECRET} version='3.0.0'/>")
+    for head, tail in itertools.product(heads, tails):
+        (tmp_path / "other").write_text(f"{head}{tail}")
+        (tmp_path / "a.xml").write_text(whole("", REFERS[kind]("other")))
+        message = refused(tmp_path / "a.xml")
+        assert "topaz" not in message and "quartz" not in message
+
+
+def test_the_content_of_lamps_and_materials_is_never_quoted(tmp_path):
+    for text in (f"TILT={SECRET}\n", f"TILT=NONE\n{SECRET}\n"):
+        (tmp_path / "a.ies").write_text(text)
+        with pytest.raises(SceneError) as error:
+            jaxrt.load_ies(tmp_path / "a.ies")
+        assert "topaz" not in str(error.value)
+    (tmp_path / "a.mtl").write_text(f"newmtl red\nKd {SECRET}\n")
+    (tmp_path / "a.obj").write_bytes(hostile.OBJ)
+    assert "topaz" not in refused(tmp_path / "a.obj")
+
+
+def test_names_cannot_steer_a_terminal(tmp_path, capsys):
+    doc = hostile.document()
+    doc["meshes"][0]["name"] = "\x1b[2J\nred"
+    doc["extensionsUsed"] = ["\x1b]0;title\x07"]
+    (tmp_path / "a.glb").write_bytes(hostile.glb(doc))
+    jaxrt.load(tmp_path / "a.glb")
+    assert "\x1b" not in capsys.readouterr().err
+    assert str(SceneError("a\x1b[2J\n\tb")) == "a?[2J b"
+
+
+# ------------------------------------------------------------------------------------------------- bombs
+
+
+def _many(head: str, one: str, count: int) -> str:
+    return whole(head, one * count)
+
+
+def _gltf(**changes: object) -> bytes:
+    return hostile.glb(hostile.document() | changes)
+
+
+def _copies(count: int, **primitive: object) -> bytes:
+    """A mesh of 30 000 triangles that shines, at many nodes."""
+    doc = hostile.document()
+    doc["bufferViews"] = [{"buffer": 0, "byteLength": 36}, {"buffer": 0, "byteOffset": 36, "byteLength": 90_000}]
+    doc["accessors"] = [
+        {"bufferView": 0, "componentType": 5126, "count": 3, "type": "VEC3"},
+        {"bufferView": 1, "componentType": 5121, "count": 90_000, "type": "SCALAR"},
+    ]
+    doc["buffers"] = [{"byteLength": 90_036}]
+    doc["materials"] = [{"emissiveFactor": [1, 1, 1]}]
+    doc["meshes"] = [{"primitives": [{"attributes": {"POSITION": 0}, "indices": 1, "material": 0}]}]
+    doc["nodes"], doc["scenes"] = [{"mesh": 0}] * count, [{"nodes": list(range(count))}]
+    triangle = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], "<f4").tobytes()
+    return hostile.glb(doc, triangle + b"\0\1\2" * 30_000)
+
+
+def _pictures(folder: Path) -> bytes:
+    """Many pictures of next to no bytes, each of 4096 x 4096 pixels."""
+    import base64
+
+    blank = base64.b64encode(hostile.png((4096, 4096), "1")).decode()
+    doc = hostile.document()
+    doc["images"] = [{"uri": f"data:image/png;base64,{blank}", "name": str(k)} for k in range(40)]
+    doc["textures"] = [{"source": k} for k in range(40)]
+    doc["materials"] = [{"pbrMetallicRoughness": {"baseColorTexture": {"index": k}}} for k in range(40)]
+    doc["meshes"] = [{"primitives": [{**doc["meshes"][0]["primitives"][0], "material": k} for k in range(40)]}]
+    return hostile.glb(doc)
+
+
+def _exr(width: int, height: int, folder: Path) -> bytes:
+    """An EXR whose data window is a lie."""
+    data = hostile.exr(folder)
+    return data.replace(
+        np.array([0, 0, 3, 2], "<i4").tobytes(), np.array([0, 0, width - 1, height - 1], "<i4").tobytes()
+    )
+
+
+def _fan(properties: int) -> bytes:
+    """A polygon of many corners, and many values of it."""
+    head = (
+        "ply\nformat binary_little_endian 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\n"
+    )
+    head += "element face 1\nproperty list uint uchar vertex_indices\n"
+    head += "".join(f"property uchar a{k}_0\n" for k in range(properties)) + "end_header\n"
+    return head.encode() + bytes(36) + np.uint32(300_000).tobytes() + b"\0\1\2" * 100_000 + bytes(properties)
+
+
+def bombs(folder: Path) -> dict[str, str | bytes]:
+    """Files below 1 MB that ask for far more, by name."""
+    head = "ply\nformat binary_little_endian 1.0\nelement vertex 1000000000\nproperty float x\nend_header\n"
+    (folder / "small.ply").write_bytes(hostile.ply("ascii"))
+    (folder / "fan.ply").write_bytes(_fan(0))
+    (folder / "hd.png").write_bytes(hostile.png((4000, 4000), "1"))
+    (folder / "head.png").write_bytes(hostile.png_head(50_000, 50_000))
+    (folder / "head2.png").write_bytes(hostile.png_head(12_000, 12_000))
+    (folder / "window.exr").write_bytes(_exr(30_000, 30_000, folder))
+    (folder / "window2.exr").write_bytes(_exr(1 << 30, 1 << 30, folder))
+    (folder / "head.hdr").write_bytes(b"#?RADIANCE\n\n-Y 32768 +X 32768\n" + b"\0" * 200_000)
+    (folder / "head.serialized").write_bytes(hostile.serialized(60_000_000, 1, b"\0" * 500_000_000))
+    (folder / "many.xml").write_text(whole("", '<bsdf type="diffuse"/>' * 20_000))
+    (folder / "self.xml").write_text(whole("", include("self.xml")))
+    entities = "".join(f'<!ENTITY a{k + 1} "&a{k};&a{k};">' for k in range(40))
+    camera = '<sensor type="perspective"><film type="hdrfilm">{}</film></sensor><shape type="sphere"/>'
+    doc = hostile.document()
+    doc["accessors"].append({"componentType": 5126, "count": 1_000_000, "type": "VEC3"})
+    doc["nodes"][0]["extensions"] = {"EXT_mesh_gpu_instancing": {"attributes": {"TRANSLATION": 4}}}
+    views = [{"bufferView": 3, "componentType": 5121, "count": n, "type": "SCALAR"} for n in (10**9, 1 << 39)]
+    size = '<integer name="width" value="40000"/><integer name="height" value="40000"/>'
+    deep = "".join(f'<bsdf type="twosided" id="b{k}"><ref id="b{k + 1}"/></bsdf>' for k in range(2000))
+    return {
+        "entities.xml": f'<!DOCTYPE a [<!ENTITY a0 "lol">{entities}]><scene version="3.0.0">&a40;</scene>',
+        "external.xml": '<!DOCTYPE a [<!ENTITY b SYSTEM "/etc/passwd">]><scene version="3.0.0">&b;</scene>',
+        "self.xml": (folder / "self.xml").read_text(),
+        "includes.xml": whole("", include("many.xml") * 900),
+        "paths.xml": _many("", '<path value="."/>', 20_000),
+        "defaults.xml": whole("".join(f'<default name="d{k}" value="1"/>' for k in range(20_000))),
+        "doubling.xml": whole("".join(f'<default name="a{k}" value="$a{k - 1}$a{k - 1}"/>' for k in range(1, 60)).replace("$a0", "x")),
+        "long.xml": _many(f'<default name="a" value="{"x" * 60_000}"/>', '<bsdf type="$a"/>', 30_000),
+        "deep.xml": '<scene version="3.0.0">' + "<bsdf>" * 100_000 + "</bsdf>" * 100_000 + "</scene>",
+        "chain.xml": whole("", deep + '<bsdf type="diffuse" id="b2000"/><shape type="sphere"><ref id="b0"/></shape>'),
+        "fans.xml": _many("", shape("ply", "fan.ply"), 2000),
+        "textures.xml": _many("", texture("hd.png"), 500),
+        "head.xml": whole("", texture("head.png")),
+        "head2.xml": whole("", texture("head2.png")),
+        "window.xml": whole("", texture("window.exr")),
+        "window2.xml": whole("", texture("window2.exr")),
+        "hdr.xml": whole("", texture("head.hdr")),
+        "serialized.xml": whole("", shape("serialized", "head.serialized")),
+        "film.xml": whole("", camera.format(size)),
+        "lobes.xml": whole("", camera.format('<rfilter type="lanczos"><integer name="lobes" value="1000000000"/></rfilter>')),
+        "blur.xml": whole("", camera.format('<rfilter type="gaussian"><float name="stddev" value="1e9"/></rfilter>')),
+        "samples.xml": whole("", '<shape type="sphere"/><sensor type="perspective"><sampler type="independent"><integer name="sample_count" value="99999999999999"/></sampler></sensor>'),
+        "count.ply": head.encode() + bytes(1000),
+        "values.ply": _fan(20_000),
+        "index.obj": b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 1000000000\n",
+        "count.glb": _gltf(accessors=[*hostile.document()["accessors"][:3], views[0]]),
+        "count2.glb": _gltf(accessors=[*hostile.document()["accessors"][:3], views[1]]),
+        "instances.glb": hostile.glb(doc),
+        "copies.glb": _copies(20_000),
+        "pictures.glb": _pictures(folder),
+    }  # fmt: skip
+
+
+LIMIT = 2 << 30
+CHILD = """
+import resource, sys, time
+from pathlib import Path
+import PIL.Image, OpenEXR, numpy
+from jaxrt.files import load_description, mitsuba, gltf
+from jaxrt.parts import SceneError
+for name in sys.argv[2:]:
+    start = time.perf_counter()
+    try:
+        load_description(Path(name))
+        said = "is a scene"
+    except SceneError as error:
+        said = str(error)
+    except BaseException as error:
+        said = f"{type(error).__name__} {error}"
+    print(f"{time.perf_counter() - start:.1f} {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss} {said}", flush=True)
+"""
+
+
+def test_no_small_file_takes_much_memory(tmp_path):
+    made = bombs(tmp_path)
+    for name, content in made.items():
+        (tmp_path / name).write_bytes(content.encode() if isinstance(content, str) else content)
+    assert not [file.name for file in tmp_path.iterdir() if file.stat().st_size >= 1_000_000]
+    limit = lambda: resource.setrlimit(resource.RLIMIT_AS, (LIMIT, LIMIT))
+    child = [sys.executable, "-c", CHILD, "", *made]
+    env = os.environ | {"OPENBLAS_NUM_THREADS": "1"}
+    done = subprocess.run(child, cwd=tmp_path, env=env, preexec_fn=limit, capture_output=True, text=True, timeout=300)
+    lines = done.stdout.splitlines()
+    assert len(lines) == len(made), (done.stderr[-500:], list(made)[len(lines)])
+    for name, line in zip(made, lines, strict=True):
+        seconds, _, said = line.split(" ", 2)
+        assert said.startswith(name.split(".")[0]), (name, said)
+        assert float(seconds) < 30, (name, line)
+
+
+# ------------------------------------------------------------------------------------------------ damage
+
+
+FORMATS = ("a.xml", "a.obj", "ascii.ply", "little.ply", "big.ply", "a.gltf", "a.glb", "a.exr", "a.png", "a.ies", "a.spd",
+           "a.pfm", "a.hdr", "a.vol", "a.serialized")  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def good(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("good")
+    return folder, hostile.seeds(folder)
+
+
+def harmless(folder: Path, name: str, data: bytes) -> bool:
+    """Whether a file is read; it may also be refused in one line that names it."""
+    path = folder / name
+    path.write_bytes(data)
+    try:
+        hostile.read(path)
+    except SceneError as error:
+        assert name in str(error) and str(error).isprintable()
+        return False
+    return True
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_whole_files_are_read(good, name):
+    assert harmless(good[0], name, good[1][name])
+
+
+def damaged(data: bytes, number: int) -> bytes:
+    """Bytes turned, numbers and words replaced, pieces cut out, doubled and moved: a few of these, by a number."""
+    rng, data = random.Random(number), bytearray(data)
+    for _ in range(rng.randint(1, 4)):
+        at, size = rng.randrange(len(data) + 1), rng.choice([1, 1, 2, 4, 8, 30])
+        kind = rng.randrange(7)
+        if kind == 0:
+            data[at : at + 1] = bytes([rng.randrange(256)])
+        elif kind == 1:
+            data[at : at + size] = rng.choice([b"\0", b"\xff", b"\x7f", b"\x80"]) * size
+        elif kind == 2:
+            del data[at : at + size]
+        elif kind == 3:
+            data[at:at] = data[at : at + size] * rng.choice([1, 1, 1, 100])
+        elif kind == 4:
+            del data[at:]
+        elif numbers := list(re.finditer(rb"-?[0-9][0-9.e+-]*", bytes(data))):
+            found = rng.choice(numbers)
+            data[found.start() : found.end()] = rng.choice(WORDS).encode()
+    return bytes(data)
+
+
+@pytest.mark.parametrize("name", FORMATS)
+@settings(max_examples=60)
+@given(number=st.integers(0, 1 << 30))
+def test_damage_anywhere_is_refused_or_harmless(good, name, number):
+    harmless(good[0], name, damaged(good[1][name], number))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", FORMATS)
+def test_much_damage_anywhere_is_refused_or_harmless(good, name):
+    for number in range(4000):
+        harmless(good[0], name, damaged(good[1][name], number))
