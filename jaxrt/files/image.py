@@ -129,11 +129,11 @@ def read_exr(path: str | Path) -> tuple[np.ndarray, np.ndarray | None, dict[str,
         with Path(path).open("rb") as start:
             if start.read(4) != b"\x76\x2f\x31\x01":
                 refuse("is not an EXR file; check the path")
-        with OpenEXR.File(str(path), header_only=True) as file:
+        with _silence(), OpenEXR.File(str(path), header_only=True) as file:
             cost = sum(_claimed(part, refuse) for part in file.parts)
         credit(path, size)
         take(path, cost, "make its picture smaller", size)  # before OpenEXR reserves what is claimed
-        with OpenEXR.File(str(path), separate_channels=True) as file:
+        with _silence(), OpenEXR.File(str(path), separate_channels=True) as file:
             pixels = {name: channel.pixels for name, channel in file.channels().items()}
             header = dict(file.header())
     except SceneError:
@@ -155,6 +155,19 @@ def read_exr(path: str | Path) -> tuple[np.ndarray, np.ndarray | None, dict[str,
     if image is None:
         refuse(f"has the channels {', '.join(pixels)[:80] or 'none'}, but not R, G, B or Y; convert it")
     return image, layer("stderr."), {k: v for k, v in header.items() if isinstance(v, str | float | int)}
+
+
+@contextlib.contextmanager
+def _silence() -> Iterator[None]:
+    """What OpenEXR has to say of a damaged file it writes to stdout and stderr by itself; the exception is enough."""
+    with open(os.devnull, "w") as nowhere, contextlib.redirect_stdout(nowhere), contextlib.ExitStack() as after:
+        for stream in (1, 2):
+            with contextlib.suppress(OSError):  # it may be closed
+                kept = os.dup(stream)
+                after.callback(os.close, kept)
+                after.callback(os.dup2, kept, stream)
+                os.dup2(nowhere.fileno(), stream)
+        yield
 
 
 def _claimed(part: Any, refuse: Callable[[str], NoReturn]) -> int:

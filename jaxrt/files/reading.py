@@ -17,7 +17,7 @@ FREE, EACH = 1 << 30, 384
 """Bytes of memory that any scene may take, and that it may take more for each byte of its files: files of 1 MB stay
 below 2 GB, the program itself included. Photographs in JPEG, the densest of what is usual, take 100 to 300."""
 
-TRIANGLE, VALUE, ELEMENT, COPY = 450, 20, 1500, 5000
+TRIANGLE, VALUE, ELEMENT, COPY = 450, 20, 5000, 5000
 """Bytes that a triangle, a number in a picture, an element of XML, and a copy of a mesh take at most while a scene is
 made: peaks of whole loads, measured."""
 

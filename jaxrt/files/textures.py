@@ -48,6 +48,9 @@ def decoded(data: bytes, path: str | Path, raw: bool = False) -> np.ndarray:
             steps = np.clip(np.asarray(image), 0, 65535) if deep else np.asarray(image.convert(mode))
     except RefusedError:
         raise
+    except Image.DecompressionBombError:
+        take(path, 1 << 60, SMALLER, len(data))
+        raise
     except Exception:  # whatever a damaged picture does to a decoder, whose words may quote it
         what = "is damaged, or no picture of a kind that can be read"
         raise SceneError(f"{path}: {what}; give PNG, JPEG, BMP, EXR, HDR or PFM") from None

@@ -2,6 +2,8 @@
 
 import io
 import json
+import random
+import re
 import struct
 import zlib
 from pathlib import Path
@@ -153,3 +155,51 @@ def read(path: Path) -> object:
     """What a file holds. Raises `SceneError`, and nothing else."""
     with reading():
         return READERS.get(path.suffix, load_description)(path)
+
+
+def damaged(data: bytes, number: int) -> bytes:
+    """Bytes turned, numbers and words replaced, pieces cut out, doubled and moved: a few of these, by a number."""
+    rng, data = random.Random(number), bytearray(data)
+    for _ in range(rng.choice([1, 1, 1, 2, 4])):
+        at, size = rng.randrange(len(data) + 1), rng.choice([1, 1, 2, 4, 8, 30])
+        kind = rng.randrange(7)
+        if kind == 0:
+            data[at : at + 1] = bytes([rng.randrange(256)])
+        elif kind == 1:
+            data[at : at + size] = rng.choice([b"\0", b"\xff", b"\x7f", b"\x80"]) * size
+        elif kind == 2:
+            del data[at : at + size]
+        elif kind == 3:
+            data[at:at] = data[at : at + size] * rng.choice([1, 1, 1, 100])
+        elif kind == 4:
+            del data[at:]
+        elif numbers := list(re.finditer(rb"-?[0-9][0-9.e+-]*", bytes(data))):
+            found = rng.choice(numbers)
+            data[found.start() : found.end()] = rng.choice(WORDS).encode()
+    return bytes(data)
+
+
+TAG = re.compile(r"<(?![/?!])[^<>]*>")
+
+
+def altered(text: str, number: int) -> str:
+    """XML that stays well-formed, but with attributes of other values, elements missing, doubled or of other names."""
+    rng = random.Random(number)
+    for _ in range(rng.randint(1, 3)):
+        tags = list(TAG.finditer(text))
+        tag = rng.choice(tags[1:])
+        found, kind = tag[0], rng.randrange(8)
+        if kind == 0 and found.endswith("/>"):
+            new = rng.choice(["", found * 2, rng.choice(tags)[0].rstrip("/>") + "/>"])
+        elif kind == 1 and found.endswith("/>"):
+            new = re.sub(
+                r"\w+", rng.choice(["rgb", "float", "integer", "string", "transform", "ref", "point"]), found, count=1
+            )
+        elif attributes := list(re.finditer(r'"([^"]*)"', found)):
+            chosen = rng.choice(attributes)
+            words = [*WORDS, *re.findall(r'"([^"]*)"', text)]
+            new = found[: chosen.start(1)] + rng.choice(words) + found[chosen.end(1) :]
+        else:
+            continue
+        text = text[: tag.start()] + new + text[tag.end() :]
+    return text
