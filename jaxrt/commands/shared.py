@@ -6,7 +6,9 @@ import argparse
 import contextlib
 import os
 import sys
+import tempfile
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from . import cache
@@ -19,6 +21,15 @@ if TYPE_CHECKING:
 def existing(path: str) -> None:
     if not os.path.isfile(path):
         raise MistakeError(f"{path}: no such file; check the path")
+
+
+def writable(folder: Path, remedy: str) -> None:
+    """Found out by writing: what the system says beforehand is not always so."""
+    try:
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        raise MistakeError(f"{folder}: cannot be written ({error.strerror}); {remedy}") from None
 
 
 def load(args: argparse.Namespace) -> Any:

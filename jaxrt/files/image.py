@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-import secrets
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, NoReturn
@@ -13,9 +12,7 @@ import numpy as np
 
 from ..parts import SceneError
 from .reading import VALUE, credit, regular, take
-
-unfinished: set[str] = set()
-"""Files that are being written, by their temporary names."""
+from .writing import replacing
 
 AOVS = {"depth": "", "normal": "XYZ", "geo_normal": "XYZ", "albedo": "RGB", "uv": "UV", "position": "XYZ", "face": ""}
 """What `render` may give of each pixel beside its radiance, and the names of its channels in an EXR file."""
@@ -28,36 +25,6 @@ def aov_of(asked: str) -> tuple[str, str]:
 
 
 _LARGEST = 1 << 15  # pixels to a side, as `Film` has it; a damaged header may claim anything
-
-
-@contextlib.contextmanager
-def replacing(path: str | Path) -> Iterator[str]:
-    """A temporary name beside `path`, which takes its place at the end: never a half-written file.
-
-    Mistakes of the user (no such folder, no permission, no space) become `SceneError`.
-    """
-    target = Path(path)
-    temporary = target.with_name(f".{target.name[:64]}.{secrets.token_hex(4)}.part")
-    try:
-        if target.exists() and not target.is_file():  # a device must not be replaced
-            raise SceneError(f"{path}: is not a file; give the name of one")
-        if not target.parent.is_dir():
-            raise SceneError(f"{path}: the folder {target.parent} does not exist; make it or give another path")
-        unfinished.add(str(temporary))
-        temporary.touch()  # says what the user cannot do more clearly than OpenEXR does
-        yield str(temporary)
-        os.replace(temporary, target)
-    except SceneError:
-        raise
-    except (OSError, RuntimeError, ValueError) as error:  # OpenEXR raises RuntimeError, an odd name ValueError
-        why = getattr(error, "strerror", None) or str(error)
-        raise SceneError(
-            f"{path}: cannot be written ({why}); check permissions and space, or give another path"
-        ) from error
-    finally:
-        with contextlib.suppress(OSError, ValueError):
-            temporary.unlink()
-        unfinished.discard(str(temporary))
 
 
 def _rgb(a: np.ndarray, name: str) -> np.ndarray:
