@@ -259,6 +259,11 @@ def bombs(folder: Path) -> dict[str, str | bytes]:
         "deep.xml": '<scene version="3.0.0">' + "<a>" * 100_000 + "</a>" * 100_000 + "</scene>",
         "chain.xml": whole("", deep + '<bsdf type="diffuse" id="b2000"/><shape type="sphere"><ref id="b0"/></shape>'),
         "fans.xml": _many("", shape("ply", "fan.ply"), 2000),
+        "instances.xml": _many(
+            '<shape type="shapegroup" id="g"><shape type="sphere"/>' + shape("ply", "fan.ply") + "</shape>",
+            '<shape type="instance"><ref id="g"/></shape>',
+            5000,
+        ),
         "textures.xml": _many("", texture("hd.png"), 500),
         "head.xml": whole("", texture("head.png")),
         "head2.xml": whole("", texture("head2.png")),
@@ -301,8 +306,13 @@ for name in sys.argv[2:]:
 """
 
 
-def test_no_small_file_takes_much_memory(tmp_path):
-    made = bombs(tmp_path)
+HEAVY = ("includes.xml", "fans.xml", "instances.xml", "textures.xml", "copies.glb", "pictures.glb")
+"""Those that take some of their allowance before they are refused."""
+
+
+@pytest.mark.parametrize("heavy", [False, pytest.param(True, marks=pytest.mark.slow)])
+def test_no_small_file_takes_much_memory(tmp_path, heavy):
+    made = {name: content for name, content in bombs(tmp_path).items() if (name in HEAVY) == heavy}
     for name, content in made.items():
         (tmp_path / name).write_bytes(content.encode() if isinstance(content, str) else content)
     assert not [file.name for file in tmp_path.iterdir() if file.stat().st_size >= 1_000_000]
@@ -389,3 +399,37 @@ def test_much_altered_scenes_are_refused_or_scenes(good):
     for number in range(500):
         source = SOURCES[number % len(SOURCES)]
         make(good[0], hostile.altered((hostile.SCENES / source).read_text() if source else hostile.XML, number))
+
+
+# -------------------------------------------------------------------------------------------------- many
+
+
+def test_a_huge_film_is_refused_before_anything_is_rendered(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    size = '<integer name="width" value="32768"/><integer name="height" value="32768"/>'
+    film = f'<sensor type="perspective"><film type="hdrfilm">{size}</film></sensor>'
+    Path("a.xml").write_text(whole(film))
+    assert cli.main(["render", "a.xml", "--no-cache", "--memory", "2000"]) == 2
+    assert "do not hold a picture of 32768x32768" in capsys.readouterr().err
+    assert os.listdir() == ["a.xml"]
+
+
+@pytest.mark.slow
+def test_ten_thousand_lights_and_a_thousand_materials(tmp_path):
+    """Light on a floor is the sum over the lamps, each of them found."""
+    places = np.random.default_rng(0).uniform([-1, -1, 9], [1, 1, 11], (10_000, 3))
+    lamps = "".join(
+        f'<emitter type="point"><point name="position" x="{x}" y="{y}" z="{z}"/><rgb name="intensity" value="1"/></emitter>'
+        for x, y, z in places
+    )
+    paints = "".join(
+        f'<bsdf type="diffuse" id="m{k}"><rgb name="reflectance" value="{k / 1000} .5 .5"/></bsdf><shape type="rectangle">'
+        f'<transform name="to_world"><scale value=".01"/><translate x="{k}" z="-5"/></transform><ref id="m{k}"/></shape>'
+        for k in range(1000)
+    )
+    (tmp_path / "a.xml").write_text(whole("", paints + lamps))
+    scene = jaxrt.load(tmp_path / "a.xml")
+    assert len(jaxrt.params(scene)) > 20_000
+    found = jaxrt.irradiance(scene, [0.0, 0.0, 0.0], [0.0, 0.0, 1.0], spp=4096)
+    distance = np.linalg.norm(places, axis=1)
+    np.testing.assert_allclose(np.ravel(found), (places[:, 2] / distance**3).sum(), rtol=0.01)
