@@ -52,8 +52,8 @@ def process() -> NoReturn:
 
 
 def _interrupted(*_: Any) -> NoReturn:
-    image = sys.modules.get("jaxrt.files.image")  # perhaps while it is being imported, and without its names
-    for part in list(getattr(image, "unfinished", ())):
+    writing = sys.modules.get("jaxrt.files.writing")  # perhaps while it is being imported, and without its names
+    for part in list(getattr(writing, "unfinished", ())):
         with contextlib.suppress(OSError):
             os.unlink(part)
     cursor = "\x1b[?25h\n" if sys.stderr.isatty() else ""  # the progress bar hides it

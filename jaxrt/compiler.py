@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import hashlib
 import os
@@ -17,6 +18,9 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+
+from .files.writing import write_bytes
+from .parts import SceneError
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -109,13 +113,9 @@ def _lapack() -> None:
 
 
 def _keep(file: Path, data: bytes) -> None:
-    try:
+    with contextlib.suppress(OSError, SceneError):  # a full disk costs time, not the picture
         file.parent.mkdir(parents=True, exist_ok=True)
-        part = file.with_suffix(f".{os.getpid()}")
-        part.write_bytes(data)
-        os.replace(part, file)
-    except OSError:  # a full disk or a folder that cannot be written costs time, not the picture
-        pass
+        write_bytes(file, data)
 
 
 @functools.cache

@@ -12,21 +12,23 @@ from .build import build
 from .files import load_description
 from .files.view import scene_points
 from .parts import Description
+from .parts.checks import printable
 from .recentre import coarse, recentred
 from .scene import CAMERAS, Scene
 
 
-def load(path: str | Path, /, **defaults: Any) -> Scene:
+def load(path: str | Path, /, *, sandbox: str | Path | None = None, **defaults: Any) -> Scene:
     """A scene from a Mitsuba 3 `.xml`, or a `.glb`, `.gltf`, `.obj` or `.ply`; `defaults` fill $names of an XML.
 
+    `sandbox`: a folder, outside of which nothing is read, symbolic links resolved; for files from strangers.
     Colours become linear RGB, three channels. What a loader had to replace or ignore is said on stderr.
     A scene far from the origin is counted from `Scene.origin`: its parameters, points and positions are.
     Raises `SceneError` (a ValueError) with one line that names the file, the element and the remedy.
     """
-    given = load_description(path, **defaults)
+    given = load_description(path, sandbox=sandbox, **defaults)
     description, origin = recentred(given)
     for note in (*description.notes, *coarse(given), *_beyond(description)):
-        print(note if str(path) in note else f"{path}: {note}", file=sys.stderr)
+        print(printable(note if str(path) in note else f"{path}: {note}"), file=sys.stderr)
     return build(
         description.shapes,
         sensors=description.sensors,

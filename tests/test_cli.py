@@ -474,7 +474,9 @@ def test_kept_programs_run_under_any_name_of_a_scene(run, folder, scene, monkeyp
 
 def test_ctrl_c_while_a_module_is_being_imported():
     """Its names are not there yet."""
-    code = "import sys, types; from jaxrt import cli; sys.modules['jaxrt.files.image'] = types.ModuleType('image'); "
+    code = (
+        "import sys, types; from jaxrt import cli; sys.modules['jaxrt.files.writing'] = types.ModuleType('writing'); "
+    )
     done = subprocess.run([sys.executable, "-c", code + "cli._interrupted()"], capture_output=True, text=True)
     assert done.returncode == 130
     assert "interrupted" in done.stderr and done.stderr.count("\n") == 1

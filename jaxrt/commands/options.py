@@ -84,5 +84,9 @@ def scene_options() -> Parser:
         "-D", dest="defaults", metavar="name=value", type=definition, action="append", default=[],
         help="fill $name of an XML scene; may be repeated",
     )  # fmt: skip
+    scene.add_argument(
+        "--sandbox", metavar="DIR",
+        help="read nothing outside of this folder, whatever the scene names, symbolic links resolved",
+    )  # fmt: skip
     scene.add_argument("--no-cache", action="store_true", help="do not keep compiled programs (as JAXRT_CACHE=off)")
     return scene

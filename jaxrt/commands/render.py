@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import math
-import os
 import sys
 import time
 from pathlib import Path
@@ -12,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from . import BEGAN
 from .options import MistakeError, duration, picture_size, sensor_numbers, stops, tolerance, whole
-from .shared import load, progress_bar, tell_costs
+from .shared import load, progress_bar, tell_costs, writable
 
 if TYPE_CHECKING:
     from ..solver.solution import Solution
@@ -138,6 +137,5 @@ def _outputs(scene: str, output: str | None) -> tuple[Path, Path]:
     for path in pair:
         if path.exists() and not path.is_file():
             raise MistakeError(f"{path}: is not a file; give another name")
-    if not os.access(out.parent, os.W_OK):
-        raise MistakeError(f"{out}: the folder {out.parent} cannot be written; give another path")
+    writable(out.parent, "give another path by -o")
     return pair[0], pair[1]

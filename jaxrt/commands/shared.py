@@ -6,7 +6,9 @@ import argparse
 import contextlib
 import os
 import sys
+import tempfile
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from . import cache
@@ -21,13 +23,25 @@ def existing(path: str) -> None:
         raise MistakeError(f"{path}: no such file; check the path")
 
 
+def writable(folder: Path, remedy: str) -> None:
+    """Found out by writing: what the system says beforehand is not always so."""
+    try:
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        raise MistakeError(f"{folder}: cannot be written ({error.strerror}); {remedy}") from None
+
+
 def load(args: argparse.Namespace) -> Any:
     existing(args.scene)
     if not args.no_cache:
         cache.use()
     from ..loading import load
 
-    return load(args.scene, **dict(args.defaults))
+    defaults = dict(args.defaults)
+    if "sandbox" in defaults:
+        raise MistakeError("-D: sandbox cannot be a name of a scene's; rename it there")
+    return load(args.scene, sandbox=args.sandbox, **defaults)
 
 
 @contextlib.contextmanager

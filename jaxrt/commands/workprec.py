@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import argparse
-import os
 from pathlib import Path
 from typing import Any
 
 from .options import MistakeError, duration, whole
-from .shared import load, progress_bar
+from .shared import load, progress_bar, writable
 
 QUICK, FULL = (40.0, 32, 256), (120.0, 64, 4096)
 """Seconds, pixels to a side, and samples a pixel at most."""
@@ -39,7 +38,7 @@ def run(args: argparse.Namespace) -> None:
         report = work_precision(
             scene,
             Path(args.scene).stem,
-            file=args.scene,
+            file=None if args.sandbox else args.scene,  # for Mitsuba, which knows no sandbox
             defaults=dict(args.defaults),
             seconds=args.seconds or seconds,
             side=side,
@@ -56,6 +55,5 @@ def _folder(scene: str, output: str | None) -> Path:
     if folder.exists() and not folder.is_dir():
         raise MistakeError(f"{folder}: is not a folder; give another name")
     near = next(path for path in (folder, *folder.absolute().parents) if path.is_dir())
-    if not os.access(near, os.W_OK):
-        raise MistakeError(f"{folder}: cannot be written; give another folder")
+    writable(near, "give another folder by -o")
     return folder

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .image import replacing, to_srgb
+from .image import to_srgb
+from .writing import replacing
 
 if TYPE_CHECKING:
     from ..solver.field import Field

@@ -21,6 +21,7 @@ from .gltf_materials import Materials
 from .gltf_meshes import primitives, unmirrored
 from .gltf_nodes import copies, nodes, sensor
 from .mesh import listed
+from .reading import COPY, TRIANGLE
 
 SHARED = 4096
 """Triangles that sharing a mesh has to save before its nodes become instances, whose hits cost a little more."""
@@ -98,11 +99,12 @@ def _placed(
         for name, to_world in where:
             yield Instance(id=name or meshes[0][1].id, group=group, to_world=to_world)
         return
-    for name, to_world in where:
+    for k, (name, to_world) in enumerate(where):
         for suffix, mesh in meshes:
+            if k:
+                file.spend(COPY + TRIANGLE * len(mesh.faces))
             placed = copy.copy(mesh)  # shares the arrays
             placed.id, placed.to_world = (name or mesh.id) + suffix, to_world
             if np.linalg.det(to_world[:3, :3]) < 0:
-                file.spend(3 * len(mesh.faces))
                 placed = unmirrored(placed)
             yield placed

@@ -15,7 +15,8 @@ from urllib.parse import unquote
 
 import numpy as np
 
-from .mesh import fail, read_bytes
+from .mesh import fail
+from .reading import read_bytes, take
 
 KNOWN = {
     "EXT_lights_ies", "EXT_mesh_gpu_instancing", "EXT_texture_webp", "KHR_lights_punctual", "KHR_materials_clearcoat",
@@ -33,7 +34,7 @@ _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
 
 
 class Document:
-    """One document. `notes`: what the reader wants said; `budget`: see `spend`."""
+    """One document. `notes`: what the reader wants said."""
 
     def __init__(self, path: str | Path):
         self.path, self.notes, self.binary = path, cast(list[str], []), cast(bytes | None, None)
@@ -53,7 +54,6 @@ class Document:
             self.fail(f"requires {', '.join(compressed)}, which jaxrt cannot unpack; export it without compression")
         if missing := sorted(required - KNOWN - _NOTED):
             self.fail(f"requires {', '.join(missing)}, which jaxrt cannot read; export it without")
-        self.budget = 1 << 24  # corners of triangles; 64 more for each byte of data. Beyond, memory is in danger
 
     def _chunks(self, data: bytes) -> bytes:
         """The JSON of a GLB (4.4); its binary chunk is kept."""
@@ -150,7 +150,6 @@ class Document:
             if len(data) < size:
                 self.fail(f"{what} has {len(data)} bytes of {size}; it is truncated, export it again")
             self.buffers[index] = data[:size]
-            self.budget += 64 * size
         return self.buffers[index]
 
     def view(self, index: Any, what: str) -> tuple[memoryview, int]:
@@ -165,10 +164,9 @@ class Document:
             self.fail(f"{what} lies outside of its buffer, by a stride of 0; export it again")
         return memoryview(data)[first : first + length], stride
 
-    def spend(self, corners: int) -> None:
-        self.budget -= corners
-        if self.budget < 0:
-            self.fail("repeats the same data far too often; export it with fewer copies")
+    def spend(self, cost: int) -> None:
+        """Bytes of memory, where data are repeated or none stand behind them."""
+        take(self.path, cost, "export it with fewer copies")
 
     def accessor(self, index: Any, kinds: tuple[str, ...]) -> np.ndarray:
         """The numbers of an accessor (3.6.2), (count, width); normalised integers as floats."""
@@ -184,8 +182,10 @@ class Document:
             if "bufferView" in entry:
                 a = self._rows(entry, where[:-1], count, dtype, _WIDTHS[kind])
             else:
-                self.spend(count)
+                self.spend(count * _WIDTHS[kind] * dtype.itemsize)
                 a = np.zeros((count, _WIDTHS[kind]), dtype)
+            if "sparse" in entry or entry.get("normalized") is True:
+                self.spend(8 * a.size)
             if "sparse" in entry:
                 a = self._replaced(self.entry(entry, "sparse"), f"{where}sparse", a)
             if entry.get("normalized") is True and dtype.kind in "iu":

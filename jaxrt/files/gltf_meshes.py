@@ -11,6 +11,7 @@ import numpy as np
 from ..parts import Mesh
 from .gltf_document import Document
 from .gltf_materials import VERTEX_ALPHA, VERTEX_COLOR, Materials, Tint
+from .reading import TRIANGLE
 
 _MODES = {0: "points", 1: "lines", 2: "lines", 3: "lines"}
 
@@ -59,7 +60,7 @@ def _primitive(
             file.fail(f"{where} names a vertex outside 0..{len(vertices) - 1}; export it again")
     if len(corners) < 3 or (mode == 4 and len(corners) % 3):
         file.fail(f"{where} has {len(corners)} corners, which are not triangles; export it again")
-    file.spend(3 * len(corners))
+    file.spend(TRIANGLE // 3 * len(corners))
     used, faces = np.unique(_triangles(corners.astype(np.int64), mode), return_inverse=True)
     numbers = (key.removeprefix("TEXCOORD_") for key in attributes if key.startswith("TEXCOORD_"))
     colors = column("COLOR_0", "colours", "VEC3", "VEC4")

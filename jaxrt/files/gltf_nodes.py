@@ -10,6 +10,7 @@ import numpy as np
 
 from ..parts import Film, Sensor
 from .gltf_document import Document
+from .reading import COPY
 
 _CAMERA = np.diag([-1.0, 1.0, -1.0, 1.0])  # theirs looks along −z with +x right, ours along +z with +x left
 
@@ -74,7 +75,7 @@ def copies(file: Document, node: dict[str, Any], where: str) -> list[np.ndarray]
     if len(counts) > 1:
         file.fail(f"{where} has {min(counts)} and {max(counts)} values of its instances; export it again")
     count = counts.pop()
-    file.spend(16 * count)
+    file.spend(COPY * count)
     rows = [found.get(key, np.tile(default, (count, 1))).astype(np.float64) for key, (_, default) in kinds.items()]
     return [_placed(file, t, q, s, f"{where}.instance") for t, q, s in zip(*rows, strict=True)]
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from ..parts import Bitmap, SceneError
 from .gltf_document import Document
+from .reading import RefusedError
 from .textures import decoded
 
 _WRAPS = {33071: "clamp", 33648: "mirror", 10497: "repeat"}  # 5.26.3
@@ -29,14 +30,20 @@ class Pictures:
             if (source, raw) not in self._read:
                 self._read[source, raw] = self._decoded(self.file.item("images", source), f"images[{source}]", raw)
             return self._read[source, raw]
+        except RefusedError:
+            raise
         except (KeyError, TypeError, SceneError):
             return None
 
     def _decoded(self, image: dict[str, Any], what: str, raw: bool) -> np.ndarray | None:
         try:
             if "bufferView" in image:
-                return decoded(bytes(self.file.view(image["bufferView"], what)[0]), raw)
-            return decoded(self.file.uri(image["uri"], what), raw)
+                data = bytes(self.file.view(image["bufferView"], what)[0])
+            else:
+                data = self.file.uri(image["uri"], what)
+            return decoded(data, f"{self.file.path}: {what}", raw)
+        except RefusedError:
+            raise
         except (KeyError, AttributeError, ValueError):
             return None
 

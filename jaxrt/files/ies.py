@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 
 from ..parts import PhotometricWeb, SceneError, spectrum
-from .mesh import fail, read_bytes
+from .mesh import fail
+from .reading import read_bytes
 
 TYPES = {1: "C", 2: "B", 3: "A"}
 
@@ -33,8 +34,8 @@ def read_ies(content: bytes, path: str | Path, scale: Any = 1.0) -> PhotometricW
     start = re.search(r"^[ \t]*TILT[ \t]*=(.*)$", text, re.MULTILINE)
     if start is None:
         fail(path, "is no IES LM-63 file, for it has no line TILT=; check the path")
-    if (tilt := start[1].strip()) != "NONE":
-        fail(path, f"has TILT={tilt[:40]}, which is not supported; give a file with TILT=NONE")
+    if start[1].strip() != "NONE":
+        fail(path, "has a TILT, which is not supported; give a file with TILT=NONE")
     try:
         numbers = np.array(text[start.end() :].replace(",", " ").split(), np.float64)
     except ValueError:

@@ -4,17 +4,15 @@ from __future__ import annotations
 
 import contextlib
 import os
-import secrets
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import NoReturn
+from typing import Any, NoReturn
 
 import numpy as np
 
 from ..parts import SceneError
-
-unfinished: set[str] = set()
-"""Files that are being written, by their temporary names."""
+from .reading import VALUE, credit, regular, take
+from .writing import replacing
 
 AOVS = {"depth": "", "normal": "XYZ", "geo_normal": "XYZ", "albedo": "RGB", "uv": "UV", "position": "XYZ", "face": ""}
 """What `render` may give of each pixel beside its radiance, and the names of its channels in an EXR file."""
@@ -27,36 +25,6 @@ def aov_of(asked: str) -> tuple[str, str]:
 
 
 _LARGEST = 1 << 15  # pixels to a side, as `Film` has it; a damaged header may claim anything
-
-
-@contextlib.contextmanager
-def replacing(path: str | Path) -> Iterator[str]:
-    """A temporary name beside `path`, which takes its place at the end: never a half-written file.
-
-    Mistakes of the user (no such folder, no permission, no space) become `SceneError`.
-    """
-    target = Path(path)
-    temporary = target.with_name(f".{target.name[:64]}.{secrets.token_hex(4)}.part")
-    try:
-        if target.exists() and not target.is_file():  # a device must not be replaced
-            raise SceneError(f"{path}: is not a file; give the name of one")
-        if not target.parent.is_dir():
-            raise SceneError(f"{path}: the folder {target.parent} does not exist; make it or give another path")
-        unfinished.add(str(temporary))
-        temporary.touch()  # says what the user cannot do more clearly than OpenEXR does
-        yield str(temporary)
-        os.replace(temporary, target)
-    except SceneError:
-        raise
-    except (OSError, RuntimeError, ValueError) as error:  # OpenEXR raises RuntimeError, an odd name ValueError
-        why = getattr(error, "strerror", None) or str(error)
-        raise SceneError(
-            f"{path}: cannot be written ({why}); check permissions and space, or give another path"
-        ) from error
-    finally:
-        with contextlib.suppress(OSError, ValueError):
-            temporary.unlink()
-        unfinished.discard(str(temporary))
 
 
 def _rgb(a: np.ndarray, name: str) -> np.ndarray:
@@ -123,28 +91,22 @@ def read_exr(path: str | Path) -> tuple[np.ndarray, np.ndarray | None, dict[str,
     def refuse(problem: str) -> NoReturn:
         raise SceneError(f"{path}: {problem}")
 
+    size = regular(path)
     try:
-        if not Path(path).is_file():
-            refuse("no such file; check the path")
         with Path(path).open("rb") as start:
             if start.read(4) != b"\x76\x2f\x31\x01":
                 refuse("is not an EXR file; check the path")
-        with OpenEXR.File(str(path), header_only=True) as file:
-            low, high = (np.asarray(v, np.int64) for v in file.header()["dataWindow"])
-            width, height = (int(n) + 1 for n in high - low)
-            # Even black compresses to some 100 pixels a byte. Checked before OpenEXR reserves what is claimed.
-            if (
-                not (0 < width <= _LARGEST and 0 < height <= _LARGEST)
-                or width * height > 4096 * Path(path).stat().st_size
-            ):
-                refuse(f"claims {width} x {height} pixels, which its size cannot hold; it is damaged")
-        with OpenEXR.File(str(path), separate_channels=True) as file:
+        with _silence(), OpenEXR.File(str(path), header_only=True) as file:
+            cost = sum(_claimed(part, refuse) for part in file.parts)
+        credit(path, size)
+        take(path, cost, "make its picture smaller", size)  # before OpenEXR reserves what is claimed
+        with _silence(), OpenEXR.File(str(path), separate_channels=True) as file:
             pixels = {name: channel.pixels for name, channel in file.channels().items()}
             header = dict(file.header())
     except SceneError:
         raise
-    except Exception as error:  # OpenEXR and its binding raise RuntimeError, ValueError, TypeError and others
-        raise SceneError(f"{path}: cannot be read as EXR ({str(error)[:80]}); it is damaged, make it again") from error
+    except Exception:  # OpenEXR and its binding raise RuntimeError, ValueError, TypeError and others
+        refuse("cannot be read as EXR; it is damaged, make it again")
 
     def layer(prefix: str) -> np.ndarray | None:
         names = [f"{prefix}{c}" for c in "RGB"]
@@ -160,6 +122,28 @@ def read_exr(path: str | Path) -> tuple[np.ndarray, np.ndarray | None, dict[str,
     if image is None:
         refuse(f"has the channels {', '.join(pixels)[:80] or 'none'}, but not R, G, B or Y; convert it")
     return image, layer("stderr."), {k: v for k, v in header.items() if isinstance(v, str | float | int)}
+
+
+@contextlib.contextmanager
+def _silence() -> Iterator[None]:
+    """What OpenEXR has to say of a damaged file it writes to stdout and stderr by itself; the exception is enough."""
+    with open(os.devnull, "w") as nowhere, contextlib.redirect_stdout(nowhere), contextlib.ExitStack() as after:
+        for stream in (1, 2):
+            with contextlib.suppress(OSError):  # it may be closed
+                kept = os.dup(stream)
+                after.callback(os.close, kept)
+                after.callback(os.dup2, kept, stream)
+                os.dup2(nowhere.fileno(), stream)
+        yield
+
+
+def _claimed(part: Any, refuse: Callable[[str], NoReturn]) -> int:
+    """Bytes of memory that a part of an EXR file leads to, by its header."""
+    low, high = (np.asarray(v, np.int64) for v in part.header["dataWindow"])
+    width, height = (int(n) + 1 for n in high - low)
+    if not (0 < width <= _LARGEST and 0 < height <= _LARGEST):
+        refuse(f"claims {width} x {height} pixels; make it again, with sides up to {_LARGEST}")
+    return VALUE * width * height * max(len(part.header.get("channels", ())), 1)
 
 
 def to_srgb(image: np.ndarray, exposure: float = 0.0) -> np.ndarray:

@@ -14,6 +14,7 @@ from typing import NoReturn
 import numpy as np
 
 from ..parts import SceneError
+from .reading import TRIANGLE, take
 
 
 @dataclasses.dataclass
@@ -26,18 +27,6 @@ class MeshData:
     normals: np.ndarray | None = None
     uvs: np.ndarray | None = None
     attributes: dict[str, np.ndarray] = dataclasses.field(default_factory=dict)
-
-
-def read_bytes(path: str | Path) -> bytes:
-    """The content of a regular file (a device or pipe could be endless); `SceneError` if it cannot be read."""
-    try:
-        if not Path(path).is_file():
-            fail(path, "no such file; check the path")
-        return Path(path).read_bytes()
-    except (OSError, ValueError) as error:
-        if isinstance(error, SceneError):
-            raise
-        fail(path, f"cannot be read ({getattr(error, 'strerror', None) or error}); check the path and its permissions")
 
 
 def fail(path: str | Path, problem: str) -> NoReturn:
@@ -76,6 +65,7 @@ def _unit(v: np.ndarray) -> np.ndarray:
 
 def checked(path: str | Path, mesh: MeshData) -> MeshData:
     """Finite numbers where a face uses them, and unit normals; a missing (zero) normal becomes the smooth one."""
+    take(path, TRIANGLE * len(mesh.faces), "put it into the scene fewer times, as instances of a group")
     used = np.zeros(len(mesh.vertices), bool)
     used[mesh.faces] = True
     for name, a in (("position", mesh.vertices), ("normal", mesh.normals), ("texture coordinate", mesh.uvs)):

@@ -10,7 +10,8 @@ import numpy as np
 
 from ..parts import SceneError
 from .mitsuba_values import Value
-from .mitsuba_xml import Document, Element, Reference, find
+from .mitsuba_xml import Document, Element, Reference
+from .reading import find
 
 T = TypeVar("T")
 
@@ -71,7 +72,10 @@ class Context:
     def file(self, element: Element) -> pathlib.Path:
         """The file named by `filename`, searched as Mitsuba does: from the main file, not from an included one."""
         name = self.string(element, "filename")
-        path = find(name, self.search)
+        try:
+            path = find(name, self.search)
+        except SceneError as refused:
+            element.fail(refused)
         if not name or path is None or not path.is_file():
             element.fail(f"no such file: {name[:80]!r}; check its filename, or give its folder by <path>")
         return path

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import io
 import pathlib
 import re
 import xml.sax
@@ -14,6 +15,7 @@ import defusedxml
 import defusedxml.sax
 
 from ..parts import SceneError
+from .reading import ELEMENT, read_bytes, take
 
 OBJECTS = frozenset(
     "bsdf emitter field film integrator medium phase rfilter sampler scene sensor shape texture volume".split()
@@ -43,7 +45,7 @@ class Node:
         return f"{self.file}:{self.line}: <{' '.join(words)}>"
 
     def fail(self, problem: object) -> NoReturn:
-        raise error(f"{self.label}: {problem}")
+        raise SceneError(f"{self.label}: {problem}")
 
     def attribute(self, name: str) -> str:
         if name not in self.attributes:
@@ -59,38 +61,30 @@ class Node:
             self.fail(f"has no attribute {wrong[0][:80]!r}; it has {', '.join((*required, *allowed))}")
 
 
-def error(message: str) -> SceneError:
-    """A `SceneError` of one line, whatever characters a name in it has."""
-    return SceneError("".join(c if c.isprintable() else "?" for c in message))
-
-
 def parse(path: pathlib.Path) -> Node:
     """The elements of one file, whose format is checked to be Mitsuba 3's."""
-    handler = _Handler(path)
+    data, handler = read_bytes(path), _Handler(path)
     parser = defusedxml.sax.make_parser()
     parser.setContentHandler(handler)
     try:
-        with path.open("rb") as file:
-            parser.parse(file)
+        parser.parse(io.BytesIO(data))
     except defusedxml.EntitiesForbidden:
-        raise error(f"{path}: defines an XML entity, which is refused; write its text out") from None
+        raise SceneError(f"{path}: defines an XML entity, which is refused; write its text out") from None
     except defusedxml.DefusedXmlException:
-        raise error(f"{path}: refers to a file by XML, which is refused; use <include>") from None
+        raise SceneError(f"{path}: refers to a file by XML, which is refused; use <include>") from None
     except xml.sax.SAXParseException as problem:
-        raise error(
+        raise SceneError(
             f"{path}:{problem.getLineNumber()}: not well-formed XML ({problem.getMessage()}); mend it there"
         ) from None
-    except OSError as problem:
-        raise error(f"{path}: cannot be read ({problem.strerror}); check its permissions") from None
     except (ValueError, LookupError) as problem:
         if isinstance(problem, SceneError):
             raise
-        raise error(f"{path}: is in an encoding that is not supported; save it as UTF-8") from None
+        raise SceneError(f"{path}: is in an encoding that is not supported; save it as UTF-8") from None
     root = handler.root
     assert root is not None  # expat refuses a file without an element
+    if root.tag not in OBJECTS:  # it may be any file, of which nothing is quoted
+        raise SceneError(f"{path}:{root.line}: is not a scene or an object of one; put it into a <scene>")
     _check_version(root)
-    if root.tag not in OBJECTS:
-        root.fail("is the outermost element; put it into a <scene>")
     root.only(("id", "name"), ("version", "type") if root.tag != "scene" else ("version",))
     return root
 
@@ -111,7 +105,9 @@ class _Handler(xml.sax.handler.ContentHandler):
     def startElement(self, name: str, attrs: Any) -> None:
         node = Node(name[:80], dict(attrs.items()), self.path, self.locator.getLineNumber())
         if len(self.stack) > DEEPEST:
-            node.fail(f"is nested deeper than {DEEPEST} elements; make the scene flatter")
+            where = f"{self.path}:{node.line}"
+            raise SceneError(f"{where}: an element is nested deeper than {DEEPEST}; make the scene flatter")
+        take(self.path, ELEMENT, "include fewer files, or each fewer times")
         if self.stack:
             self.stack[-1].children.append(node)
         else:

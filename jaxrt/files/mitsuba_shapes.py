@@ -13,6 +13,7 @@ from .mitsuba_context import Context
 from .mitsuba_materials import area_emission, bsdf
 from .mitsuba_meshes import READERS, mesh
 from .mitsuba_xml import Element
+from .reading import TRIANGLE, take
 from .vol import read_vol
 
 
@@ -76,6 +77,9 @@ def _instance(ctx: Context, element: Element, place: str) -> parts.Instance:
     if group is None or group.plugin != "shapegroup":
         element.fail("refers to no shapegroup; give it one by <ref>")
     made, to_world = shape(ctx, group, f"{name}.group"), ctx.transform(element)
+    if isinstance(made, parts.Group) and not made.flat:  # which the scene writes out
+        cost = TRIANGLE * sum(len(s.faces) for s in made.shapes if isinstance(s, parts.Mesh))
+        take(element.node.file, cost, "place its group fewer times, or without curved shapes")
     ctx.finish(element)
     return ctx.part(element, parts.Instance, id=name, group=made, to_world=to_world)
 

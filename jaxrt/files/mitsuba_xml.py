@@ -11,11 +11,14 @@ import dataclasses
 import difflib
 import pathlib
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from typing import NoReturn
 
-from .mitsuba_nodes import DEEPEST, OBJECTS, OPERATIONS, VALUES, Node, error, parse
+from ..parts import SceneError
+from .mesh import listed
+from .mitsuba_nodes import DEEPEST, OBJECTS, OPERATIONS, VALUES, Node, parse
 from .mitsuba_values import Value, value
+from .reading import find, take
 
 _REQUIRED = {
     "include": ("filename",),
@@ -27,7 +30,7 @@ _REQUIRED = {
 _ALLOWED = {"include": ("name",), "ref": ("name",)}
 
 # a scene is flat and its values are short; these stop files made to fill the memory
-_MOST_INCLUDES, _LONGEST = 1000, 1 << 16
+_MOST_INCLUDES, _MOST_PATHS, _MOST_DEFAULTS, _LONGEST = 1000, 100, 1000, 1 << 16
 
 
 @dataclasses.dataclass(eq=False)
@@ -78,17 +81,6 @@ def read(path: pathlib.Path, defaults: Mapping[str, str | float | int]) -> Docum
     return _Reader(defaults).document(path)
 
 
-def find(name: str, search: Sequence[pathlib.Path]) -> pathlib.Path | None:
-    """The first regular file or folder of that name in the folders of `search`, or None."""
-    for folder in search:
-        try:
-            if (folder / name).is_file() or (folder / name).is_dir():
-                return folder / name
-        except (OSError, ValueError):  # a name that no file can have
-            continue
-    return None
-
-
 class _Reader:
     def __init__(self, defaults: Mapping[str, str | float | int]):
         self.parameters: dict[str, str] = {}
@@ -104,7 +96,7 @@ class _Reader:
 
     def document(self, path: pathlib.Path) -> Document:
         if not find(path.name, [path.parent]) or path.is_dir():
-            raise error(f"{path}: no such file; check the path")
+            raise SceneError(f"{path}: no such file; check the path")
         node, search = parse(path), [path.parent]
         if node.tag != "scene":
             node.fail("is the outermost element; put it into a <scene>")
@@ -113,7 +105,7 @@ class _Reader:
         self.fill(root, node, search, 0)
         for reference in self.references:
             if reference.id not in self.ids:
-                close = difflib.get_close_matches(reference.id[:80], self.ids, 3, 0.4)
+                close = difflib.get_close_matches(reference.id[:80], [*self.ids][:1000], 3, 0.4)
                 advice = f"did you mean {' or '.join(close)}?" if close else "add it or remove the reference"
                 reference.node.fail(f"no element has id {reference.id[:80]!r}; {advice}")
         self.heights(root, [], {})
@@ -122,7 +114,7 @@ class _Reader:
             names = sorted(set(self.parameters) - self.arguments | self.used)
             close = difflib.get_close_matches(unused[0], names, 3, 0.4)
             advice = f"did you mean {' or '.join(close)}?" if close else f"it uses: {', '.join(names) or 'none'}"
-            raise error(f"{path}: no ${unused[0]} in this scene; {advice}")
+            raise SceneError(f"{path}: no ${unused[0]} in this scene; {advice}")
         return Document(root, self.ids, search, self.notes)
 
     def heights(self, element: Element, inside: list[Element], found: dict[Element, int]) -> int:
@@ -174,6 +166,8 @@ class _Reader:
             elif tag == "default":
                 if not attributes["name"]:
                     node.fail("has an empty name; give one")
+                if len(self.parameters) >= _MOST_DEFAULTS:
+                    node.fail(f"is one of more than {_MOST_DEFAULTS} defaults; write their values out")
                 self.parameters.setdefault(attributes["name"], attributes["value"])
             else:
                 self.path(node, parent, search)
@@ -232,16 +226,24 @@ class _Reader:
     def path(self, node: Node, parent: Element, search: list[pathlib.Path]) -> None:
         if parent.tag != "scene":
             node.fail("stands inside an object; move it to the top of the scene")
-        folder = find(node.attributes["value"], search)
+        folder = self.find(node, node.attributes["value"], search)
+        if len(search) >= _MOST_PATHS:
+            node.fail(f"is one of more than {_MOST_PATHS} folders; put their files together")
         if folder is None or not folder.is_dir():
             node.fail("no such folder; check its value")
         search.insert(0, folder)
 
     def locate(self, node: Node, name: str, search: list[pathlib.Path]) -> pathlib.Path:
-        found = find(name, search)
+        found = self.find(node, name, search)
         if not name or found is None or not found.is_file():
             node.fail(f"no such file: {name[:80]!r}; check its filename, or give its folder by <path>")
         return found
+
+    def find(self, node: Node, name: str, search: list[pathlib.Path]) -> pathlib.Path | None:
+        try:
+            return find(name, search)
+        except SceneError as refused:
+            node.fail(refused)
 
     def below(self, node: Node) -> Iterable[Node]:
         """The elements inside a value: operations in a <transform>, nothing else."""
@@ -266,11 +268,12 @@ class _Reader:
                 if len(text) + count * len(new) > _LONGEST:
                     node.fail(f"{key} grows beyond {_LONGEST} characters by ${name[:80]}; shorten it")
                 if count:
+                    take(node.file, 16 * count * len(new), "write shorter values, or fewer")
                     self.used.add(name)
                     text = re.sub(pattern, lambda _, new=new: new, text)
             missing = re.search(r"(?<!\\)\$([A-Za-z0-9_]*)", text)
             if missing:
-                known = ", ".join(sorted(self.parameters)) or "none"
+                known = listed(sorted(self.parameters)) or "none"
                 name = missing[1][:80]
                 node.fail(f'${name} is not defined (defined: {known}); give {name}, or add a <default name="{name}">')
             node.attributes[key] = text.replace("\\$", "$")

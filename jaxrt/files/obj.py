@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 
 from ..parts import Description, Diffuse, Mesh, SceneError
-from .mesh import MeshData, checked, fail, listed, read_bytes
+from .mesh import MeshData, checked, fail, listed
+from .reading import RefusedError, read_bytes
 
 
 def read_obj(path: str | Path, flip_v: bool = True) -> MeshData:
@@ -92,7 +93,7 @@ def _read_obj(path: str | Path, flip_v: bool) -> tuple[MeshData, list[_Run], lis
             elif key == "mtllib":
                 libraries += re.findall(r"\S.*?\.mtl(?!\S)", line.strip()[7:999], re.IGNORECASE)  # may hold spaces
     except (ValueError, IndexError):
-        fail(path, f"line {number} cannot be read ({text.split(chr(10))[number - 1].strip()[:60]!r}); correct it")
+        fail(path, f"line {number} is none that an OBJ file has; correct it, or check the path")
     if not triangles:
         fail(path, "has no faces; jaxrt needs a surface mesh")
 
@@ -117,9 +118,11 @@ def load_obj(path: str | Path) -> Description:
     mesh, runs, libraries = _read_obj(path, True)
     notes: list[str] = []
     library: dict[str, dict[str, list[str]]] = {}
-    for name in libraries:
+    for name in dict.fromkeys(libraries):
         try:
             library |= _read_mtl(Path(path).parent / name)
+        except RefusedError as error:
+            fail(path, f"mtllib {error}")
         except SceneError as error:
             notes.append(f"{error} (its materials are grey)")
     spans: dict[str, list[np.ndarray]] = {}
@@ -171,7 +174,7 @@ def _material(name: str, words: dict[str, list[str]], unused: dict[str, list[str
         except ValueError:
             values = []
         if len(values) not in (1, 3):  # one stands for all three
-            raise SceneError(f"{name}.{key}: {' '.join(words[key])!r} is not a colour; give three numbers")
+            raise SceneError(f"{name}.{key}: is not a colour; give three numbers")
         return values
 
     maps = [f"{v[-1]} ({name}.{k})" for k, v in words.items() if v and k.lower().startswith(("map_", "bump", "norm"))]

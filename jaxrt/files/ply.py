@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 
 from ..parts import Description, Diffuse, Mesh, MeshAttribute
-from .mesh import MeshData, checked, fail, read_bytes
+from .mesh import MeshData, checked, fail
+from .reading import read_bytes, take
 from .textures import linear
 
 _TYPES = {"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4"}
@@ -66,6 +67,7 @@ def read_ply(path: str | Path, flip_v: bool = False) -> MeshData:
     normals = column("nx", "ny", "nz") if vertex.keys() >= {"nx", "ny", "nz"} else None
     used = {"x", "y", "z", "nx", "ny", "nz", *(pair or ())}
     attributes = _attributes("vertex_", {k: v[0] for k, v in vertex.items() if k not in used})
+    take(path, 16 * len(faces) * len(face), "export it without values of faces")
     of_faces = {k: np.repeat(v, length - 2) for k, (v, size) in face.items() if size is None}
     attributes |= _attributes("face_", of_faces)
     uvs = column(*pair) * [1, -1 if flip_v else 1] + [0, int(flip_v)] if pair else None
@@ -96,7 +98,8 @@ def _ply_header(path: str | Path, data: bytes) -> tuple[list[_Element], bool, in
     if not re.match(rb"ply\s", data) or end is None:
         fail(path, "is not a PLY file, or its header has no end; check the path or export it again")
     order, elements = "", []
-    for line in data[: end.start()].decode("latin-1").replace("\r", "\n").split("\n")[1:]:
+    head = data[: end.start()].decode("latin-1").replace("\r\n", "\n").replace("\r", "\n")
+    for number, line in enumerate(head.split("\n")[1:], 2):
         match line.split():
             case [] | ["comment" | "obj_info", *_]:
                 continue
@@ -111,7 +114,7 @@ def _ply_header(path: str | Path, data: bytes) -> tuple[list[_Element], bool, in
             case ["property", "list", size, kind, name] if elements and order and {kind, size} <= _TYPES.keys():
                 elements[-1].properties.append((name, _ply_type(order, kind), _ply_type(order, size)))
                 continue
-        fail(path, f"its header has the line {line.strip()[:60]!r}, which is not PLY; export it again")
+        fail(path, f"line {number} of its header is not PLY; export it again")
     if not order:
         fail(path, "its header has no format line; export it again")
     return elements, order == "ascii", end.end()

@@ -8,7 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from .mesh import MeshData, checked, fail, read_bytes
+from .mesh import MeshData, checked, fail
+from .reading import read_bytes, take
 
 _MAGIC, _HEADER = 0x041C, 1 << 16
 _NORMALS, _UVS, _COLOURS, _DOUBLE = (
@@ -47,6 +48,7 @@ def read_serialized(path: str | Path, index: int = 0) -> MeshData:
         size = at + 16 + vertices * sum(widths.values()) * real.itemsize + triangles * 12
         if size > _RATIO * (len(data) - start):
             raise EOFError
+        take(path, 3 * size, "export a smaller mesh", len(data))
         if size > len(body):
             body += unpacked.decompress(unpacked.unconsumed_tail, size - len(body))
         if size > len(body):

@@ -15,6 +15,7 @@ import numpy as np
 
 from ..parts import SceneError
 from . import cie
+from .reading import read_bytes
 
 Role = Literal["reflectance", "ior", "radiance"]
 
@@ -77,8 +78,8 @@ def read_spd(path: pathlib.Path) -> tuple[np.ndarray, np.ndarray]:
     Raises `SceneError` for a file that is missing or has anything else in it.
     """
     try:
-        lines = path.read_text("utf-8").splitlines()
-    except (OSError, UnicodeDecodeError):
+        lines = read_bytes(path).decode("utf-8").splitlines()
+    except UnicodeDecodeError:
         raise SceneError(f"{path.name}: cannot be read as text; check the file") from None
     pairs = []
     for count, line in enumerate(lines, 1):

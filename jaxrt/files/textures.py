@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import io
 import re
+import warnings
 from pathlib import Path
 
 import numpy as np
 
 from ..parts import SceneError
 from .image import read_exr
+from .reading import VALUE, RefusedError, read_bytes, take
 
 EIGHT_BITS = (".png", ".jpg", ".jpeg", ".bmp", ".tga", ".webp", ".gif", ".ppm", ".pgm")
 
@@ -19,24 +21,46 @@ def linear(x: np.ndarray) -> np.ndarray:
     return np.where(x <= 0.04045, x / 12.92, ((x + 0.055) / 1.055) ** 2.4)
 
 
-def decoded(data: bytes, raw: bool = False) -> np.ndarray:
-    """A PNG, JPEG, ... as (H, W, 1, 3 or 4) float32, its colours linear unless they are `raw`. Raises ValueError."""
+SMALLER = "make its picture smaller"
+
+_FORMATS = ("PNG", "JPEG", "BMP", "TGA", "WEBP", "GIF", "PPM")  # of Pillow's others some run programs
+
+
+def decoded(data: bytes, path: str | Path, raw: bool = False) -> np.ndarray:
+    """A PNG, JPEG, ... as (H, W, 1, 3 or 4) float32, its colours linear unless they are `raw`.
+
+    Raises `SceneError` for what is no such picture; it names `path`.
+    """
     from PIL import Image
 
     try:
-        with Image.open(io.BytesIO(data)) as image:
-            if image.mode in ("I;16", "I;16B", "I"):
-                x = np.asarray(image, np.float64)[..., None] / 65535.0
-            else:
-                grey = image.mode in ("1", "L", "LA")
-                alpha = "transparency" in image.info or image.mode in ("LA", "PA", "RGBA")
-                x = np.asarray(image.convert("RGBA" if alpha else "L" if grey else "RGB"), np.float64) / 255.0
-                x = x[..., None] if x.ndim == 2 else x
-    except Exception as problem:  # whatever a damaged picture does to a decoder
-        raise ValueError(str(problem)[:80]) from None
-    if not raw:
-        x = np.concatenate([linear(x[..., :3]), x[..., 3:]], -1)
-    return x.astype(np.float32)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of large pictures, which `take` refuses
+            image = Image.open(io.BytesIO(data), formats=_FORMATS)
+        with image:
+            deep = image.mode in ("I;16", "I;16B", "I")
+            grey, alpha = (
+                image.mode in ("1", "L", "LA"),
+                "transparency" in image.info or image.mode in ("LA", "PA", "RGBA"),
+            )
+            mode = "" if deep else "RGBA" if alpha else "L" if grey else "RGB"
+            take(path, VALUE * image.width * image.height * (len(mode) or 1), SMALLER, len(data))
+            steps = np.clip(np.asarray(image), 0, 65535) if deep else np.asarray(image.convert(mode))
+    except RefusedError:
+        raise
+    except Image.DecompressionBombError:
+        take(path, 1 << 60, SMALLER, len(data))
+        raise
+    except Exception:  # whatever a damaged picture does to a decoder, whose words may quote it
+        what = "is damaged, or no picture of a kind that can be read"
+        raise SceneError(f"{path}: {what}; give PNG, JPEG, BMP, EXR, HDR or PFM") from None
+    steps = steps[..., None] if steps.ndim == 2 else steps
+    values = np.linspace(0.0, 1.0, 65536 if deep else 256)
+    plain, curved = (table.astype(np.float32) for table in (values, linear(values)))
+    x = (plain if raw else curved)[steps]
+    if not raw and mode == "RGBA":
+        x[..., 3] = plain[steps[..., 3]]
+    return x
 
 
 def read_picture(path: str | Path, raw: bool = False) -> np.ndarray:
@@ -45,21 +69,12 @@ def read_picture(path: str | Path, raw: bool = False) -> np.ndarray:
     if suffix == ".exr":
         image = read_exr(path)[0]
         return image[..., :1] if (image == image[..., :1]).all() else image
-    try:
-        data = Path(path).read_bytes()
-    except OSError as problem:
-        raise SceneError(f"{path}: cannot be read ({problem.strerror}); check the path") from None
+    data = read_bytes(path)
     if suffix in (".hdr", ".rgbe"):
         return _radiance_hdr(path, data)
     if suffix == ".pfm":
         return _portable_floats(path, data)
-    try:
-        x = decoded(data, raw)
-    except ValueError as problem:
-        raise SceneError(
-            f"{path}: is no picture that can be read ({problem}); give PNG, JPEG, BMP, EXR, HDR or PFM"
-        ) from None
-    return x[..., :3]
+    return decoded(data, path, raw)[..., :3]
 
 
 def _portable_floats(path: str | Path, data: bytes) -> np.ndarray:
@@ -93,6 +108,7 @@ def _radiance_hdr(path: str | Path, data: bytes) -> np.ndarray:
         raise refuse("has a size that is no number") from None
     if not (0 < height <= 1 << 15 and 0 < width <= 1 << 15) or height * 4 > len(body):
         raise refuse(f"claims {width} x {height} pixels, which it cannot hold; it is damaged")
+    take(path, VALUE * 3 * height * width, SMALLER, len(data))
     rgbe, at = np.empty((height, width, 4), np.uint8), 0
     for y in range(height):
         row = body[at : at + 4]

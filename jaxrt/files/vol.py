@@ -7,7 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from .mesh import fail, read_bytes
+from .mesh import fail
+from .reading import read_bytes
 
 _HEADER = struct.Struct("<3sB5i6f")  # "VOL", version, type of values, their number along x, y, z, channels, box
 

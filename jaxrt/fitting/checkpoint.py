@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import zipfile
+import zlib
 from pathlib import Path
 from typing import Any
 
@@ -10,8 +12,12 @@ import equinox as eqx
 import jax
 import numpy as np
 
-from ..files.image import replacing
+from ..files.writing import replacing
 from ..parts import SceneError
+
+_DAMAGE = (OSError, ValueError, KeyError, EOFError, TypeError, AttributeError, NotImplementedError)
+_DAMAGE += (zipfile.BadZipFile, zlib.error)
+"""What numpy raises for a file that is no archive of arrays, or a damaged one."""
 
 
 def save(path: str | Path, state: Any, history: dict[str, list[Any]], about: dict[str, Any]) -> None:
@@ -28,10 +34,10 @@ def about_of(path: str | Path, asked: dict[str, Any]) -> dict[str, Any] | None:
     if not Path(path).exists():
         return None
     try:
-        with np.load(path, allow_pickle=False) as file:
+        with open(path, "rb") as opened, np.load(opened, allow_pickle=False) as file:
             about = json.loads(str(file["about"]))
-    except (OSError, ValueError, KeyError) as error:
-        raise SceneError(f"{path}: is no checkpoint of a fit ({error}); remove it or give another path") from None
+    except _DAMAGE:
+        raise SceneError(f"{path}: is no checkpoint of a fit, or is damaged; remove it or give another path") from None
     for name, value in asked.items():
         if about.get(name) != value:
             raise SceneError(
@@ -44,9 +50,12 @@ def load(path: str | Path, like: Any) -> tuple[Any, dict[str, list[Any]]]:
     """A state with the arrays of a file in the places of `like`'s, and the history."""
     arrays, rest = eqx.partition(like, eqx.is_array)
     leaves, tree = jax.tree.flatten(arrays)
-    with np.load(path, allow_pickle=False) as file:
-        kept = [file[f"state_{k}"] for k in range(sum(name.startswith("state_") for name in file.files))]
-        history = {n.removeprefix("history_"): list(file[n]) for n in file.files if n.startswith("history_")}
+    try:
+        with open(path, "rb") as opened, np.load(opened, allow_pickle=False) as file:
+            kept = [file[f"state_{k}"] for k in range(sum(name.startswith("state_") for name in file.files))]
+            history = {n.removeprefix("history_"): list(file[n]) for n in file.files if n.startswith("history_")}
+    except _DAMAGE:
+        raise SceneError(f"{path}: is a damaged checkpoint; remove it or give another path") from None
     if [(a.shape, a.dtype) for a in kept] != [(a.shape, a.dtype) for a in leaves]:
         raise SceneError(f"{path}: is of a fit with another optimiser; remove it, or give the same one")
     return eqx.combine(jax.tree.unflatten(tree, [jax.numpy.asarray(a) for a in kept]), rest), history

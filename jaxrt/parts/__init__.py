@@ -36,7 +36,7 @@ class Integrator:
     def __post_init__(self):
         check(self.max_depth >= -1, "integrator.max_depth", f"is {self.max_depth}; give -1 or more")
         check(self.rr_depth >= 1, "integrator.rr_depth", f"is {self.rr_depth}; give 1 or more")
-        check(self.spp >= 1, "sampler.sample_count", f"is {self.spp}; give 1 or more")
+        check(1 <= self.spp < 1 << 31, "sampler.sample_count", f"is {self.spp}; give 1 or more, below {1 << 31}")
 
 
 @dataclasses.dataclass

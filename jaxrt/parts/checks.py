@@ -10,6 +10,14 @@ import numpy as np
 class SceneError(ValueError):
     """A mistake in a scene: one line that names the file (if any), the element and the remedy."""
 
+    def __init__(self, message: object = ""):
+        super().__init__(printable(str(message)))
+
+
+def printable(text: str) -> str:
+    """One line that a terminal takes for text only, whatever characters the names in it have."""
+    return "".join(c if c.isprintable() else "?" for c in " ".join(text.split()))
+
 
 LARGEST = 1e30
 """Numbers in a scene end here: float32 reaches to 3e38, and products of them have to fit."""

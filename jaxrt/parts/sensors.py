@@ -58,7 +58,7 @@ class Film:
         check(np.isfinite(self.stddev) and self.stddev > 0, "film.stddev", f"is {self.stddev}; give a positive number")
         if self.radius is None:
             self.radius = radii[self.filter]
-        check(np.isfinite(self.radius) and self.radius > 0, "film.radius", f"is {self.radius}; give a positive number")
+        check(0 < self.radius <= 256, "film.radius", f"is {self.radius}; give a positive number of pixels, up to 256")
         cubic = self.filter in ("mitchell", "catmullrom")
         check(not cubic or self.radius == 2, "film.radius", f"is {self.radius}; leave it out, for a cubic's is 2")
         whole = self.radius == int(self.radius)

@@ -7,7 +7,7 @@ import json
 from collections.abc import Sequence
 from pathlib import Path
 
-from ..files.image import replacing
+from ..files.writing import write_bytes
 from .figure import figure
 from .page import page
 from .report import Report
@@ -34,6 +34,5 @@ def write(reports: Sequence[Report], folder: str | Path, columns: int | None = N
         folder.mkdir(parents=True, exist_ok=True)
     files = [folder / f"{NAME}.{suffix}" for suffix in made]
     for file, content in zip(files, made.values(), strict=True):
-        with replacing(file) as temporary:
-            Path(temporary).write_bytes(content)
+        write_bytes(file, content)
     return files

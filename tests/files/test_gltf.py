@@ -10,6 +10,7 @@ from gltf_files import DATA, INDICES, NORMALS, POSITIONS, added, document, glb, 
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from jaxrt.files import load_description
 from jaxrt.files.gltf import load_gltf
 from jaxrt.parts import Diffuse, Instance, Mesh, Principled, SceneError
 
@@ -385,7 +386,7 @@ def test_repetition_beyond_all_measure_is_refused(tmp_path):
     doc["meshes"][0]["primitives"] = [{"attributes": {"POSITION": 0}, "indices": 4}] * 1000
     doc["buffers"] = [{"byteLength": 600_000}]
     with pytest.raises(SceneError, match="fewer copies"):
-        load_gltf(glb(tmp_path / "a.glb", doc, b"\0" * 600_000))
+        load_description(glb(tmp_path / "a.glb", doc, b"\0" * 600_000))
 
 
 def test_a_truncated_file(tmp_path):

@@ -98,7 +98,7 @@ def test_a_failure_leaves_the_old_file_and_nothing_else(tmp_path, monkeypatch, w
     old = (tmp_path / "a").read_bytes()
     for error, seen in ((OSError(28, "No space left on device"), SceneError), (KeyboardInterrupt, KeyboardInterrupt)):
         with monkeypatch.context() as patch:
-            patch.setattr(m.os, "replace", lambda *_, error=error: (_ for _ in ()).throw(error))
+            patch.setattr(os, "replace", lambda *_, error=error: (_ for _ in ()).throw(error))
             with pytest.raises(seen):
                 write(tmp_path / "a", 2 * PICTURE)
     assert os.listdir(tmp_path) == ["a"]
