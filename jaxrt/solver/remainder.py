@@ -17,8 +17,8 @@ from .work import Batch, Workers
 SHARE = 0.1
 """Of a tolerance, what the rest of the series may take."""
 
-SIDE, SPP = 32, 64
-"""Pixels a side and samples of the pictures that tell how fast the series falls."""
+SIDE, SPP, FEW = 32, 64, 16
+"""Pixels a side and samples of the pictures that tell how fast the series falls; of one that tells how bright it is."""
 
 LADDER = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64)
 """Numbers of edges at which it is looked at."""
@@ -34,9 +34,10 @@ class Series(NamedTuple):
 
 def series(workers: Workers, world: World, scene: Scene, key: Any, error: float) -> Series:
     """As many terms as leave a rest below a tenth of the error. `workers` follow paths without end."""
-    whole = _small(workers, key, -1)
+    certain = bound(world, scene)
+    whole = _small(workers, key, -1, SPP if certain is None else FEW)
     scale = np.sqrt(whole**2 + 0.01 * (whole**2).mean() + 1e-30)
-    if (certain := bound(world, scene)) is not None:
+    if certain is not None:
         rho, most = certain
         first = most * float(np.sqrt((scale**-2.0).mean())) / (1.0 - rho)
         depth = 1 if first <= SHARE * error else int(np.ceil(np.log(SHARE * error / first) / np.log(rho)))
@@ -70,7 +71,7 @@ def bound(world: World, scene: Scene) -> tuple[float, float] | None:
     return (rho, most) if 0 < rho < 1 else None
 
 
-def _small(workers: Workers, key: Any, depth: int) -> np.ndarray:
+def _small(workers: Workers, key: Any, depth: int, spp: int = SPP) -> np.ndarray:
     """A small picture of so many edges, in blocks; of all depths by the same paths."""
     view, depths = workers.view, workers.depths
     width, height = workers.size
@@ -79,5 +80,5 @@ def _small(workers: Workers, key: Any, depth: int) -> np.ndarray:
     view = replace(view, width=np.int32(size[0]), height=np.int32(size[1]))
     few = workers.seeing(view, Depths(np.int32(depth), depths.rr_depth, depths.hide_emitters))
     tally = few.tally(key)
-    few.take(tally, [Batch(few.n, 0, SPP)])
+    few.take(tally, [Batch(few.n, 0, spp)])
     return block_means(tally.found()[0].reshape(size[1], size[0], -1), min(4, *size))

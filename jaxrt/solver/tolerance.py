@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..sampling.sobol import combine
+from .measure import PASS
 from .solution import pooled, statistical
 from .tally import Tally
 from .work import Workers, missing, tiled
@@ -171,4 +172,6 @@ def _take(
     tell: Callable[[float], None] | None = None,
 ) -> None:  # fmt: skip
     order = tiled(np.arange(workers.n), *workers.size)
-    workers.take(tally, [missing(tally.taken, want, order)], stop, tell)
+    mean = float(np.maximum(want - tally.taken, 0).mean())
+    most = min(tally.turn * max(round(0.5 * mean / tally.turn), 1), max(PASS, tally.turn))  # rows last as their longest
+    workers.take(tally, [missing(tally.taken, want, order, most)], stop, tell)
