@@ -4,7 +4,7 @@ Each format is fuzzed from a small whole file, in a process of its own with limi
 by atheris where it is installed (`pip install atheris`), which looks for inputs that reach new code, else by the damage
 that the tests do. A finding is whatever is neither a scene nor a `SceneError` of one line; it is kept in `results/`.
 
-    python experiments/fuzz/run.py [--seconds 600] [--formats a.xml ...] [--whole]
+    python experiments/fuzz/run.py [--quick] [--seconds 600] [--formats a.xml ...] [--whole]
 """
 
 from __future__ import annotations
@@ -25,7 +25,9 @@ from pathlib import Path
 
 HERE = Path(__file__).parent
 ROOT = HERE.parents[1]
-sys.path[:0] = [str(ROOT), str(ROOT / "tests" / "files")]
+sys.path[:0] = [str(ROOT), str(ROOT / "tests" / "files"), str(HERE.parent)]
+
+from peer import results_of  # noqa: E402
 
 ATHERIS = importlib.util.find_spec("atheris") is not None
 if ATHERIS:
@@ -131,6 +133,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     with tempfile.TemporaryDirectory() as there:
         names = list(hostile.seeds(Path(there)))
+    parser.add_argument("--quick", action="store_true", help="30 seconds")
     parser.add_argument("--seconds", type=float, default=600, help="for all formats together")
     parser.add_argument("--formats", nargs="*", default=names)
     parser.add_argument(
@@ -139,9 +142,10 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--child", action="store_true", help=argparse.SUPPRESS)
     args = parser.parse_args()
-    each = args.seconds / len(args.formats)
+    each = (30.0 if args.quick else args.seconds) / len(args.formats)
     if args.child:
         child(args.formats[0], args.seconds, args.whole, args.seed)
+    results_of(HERE, args.seed, atheris=ATHERIS, seconds=args.seconds)
     print("by atheris" if ATHERIS and not args.whole else "without atheris", flush=True)
     for name in args.formats:
         command = [

@@ -2,9 +2,9 @@
 
     python experiments/hard_cases/run.py [--quick] [--float32] [NAME ...]
 
-The cases are those of tests/hard_cases. Writes results/hard_cases.csv and .md: a line for each case, method, precision
-and quantity (a value, or its derivative), with what was found and expected, the error and its limit. With names, only
-cases whose names hold one of these.
+The cases are those of tests/hard_cases. Writes results/hard_cases.csv and .md, a line for each case,
+method, precision and quantity (a value, or its derivative), with what was found and expected, the error and its limit;
+and .json (machine, versions). With names, only cases whose names hold one of these.
 """
 
 from __future__ import annotations
@@ -17,9 +17,10 @@ from pathlib import Path
 
 HERE = Path(__file__).parent
 TESTS = HERE.parent.parent / "tests"
-sys.path[:0] = [str(TESTS / "hard_cases"), str(TESTS)]
+sys.path[:0] = [str(TESTS / "hard_cases"), str(TESTS), str(HERE.parent)]
 
 import cases  # noqa: E402
+from peer import results_of  # noqa: E402
 
 from jaxrt.intersect import dense  # noqa: E402
 
@@ -46,8 +47,7 @@ def main() -> None:
                     f"expected {row.expected}, off {row.error:.2g}, limit {row.limit:.2g}{mark}"
                 )
             print(f"    [{k + 1} of {len(asked)}] {time.perf_counter() - began:.1f} s", flush=True)
-    results = HERE / "results"
-    results.mkdir(exist_ok=True)
+    results = results_of(HERE)
     head = (*cases.Row._fields, "holds")
     cells = [[*(f"{v:.6g}" if isinstance(v, float) else v for v in row), "yes" if row.holds else "no"] for row in rows]
     with open(results / "hard_cases.csv", "w", newline="") as file:
