@@ -26,8 +26,9 @@ def load(path: str | Path, /, *, sandbox: str | Path | None = None, **defaults: 
     Raises `SceneError` (a ValueError) with one line that names the file, the element and the remedy.
     """
     given = load_description(path, sandbox=sandbox, **defaults)
-    description, origin = recentred(given)
-    for note in (*description.notes, *coarse(given), *_beyond(description)):
+    points = scene_points(given.shapes)
+    description, origin = recentred(given, points)
+    for note in (*description.notes, *coarse(given), *_beyond(given, points)):
         print(printable(note if str(path) in note else f"{path}: {note}"), file=sys.stderr)
     return build(
         description.shapes,
@@ -41,9 +42,9 @@ def load(path: str | Path, /, *, sandbox: str | Path | None = None, **defaults: 
     )
 
 
-def _beyond(description: Description) -> list[str]:
+def _beyond(description: Description, points: np.ndarray) -> list[str]:
     """Sensors whose far end would cut something off: it is drawn all the same, and said."""
-    world = np.insert(scene_points(description.shapes), 3, 1.0, axis=1)
+    world = np.insert(points, 3, 1.0, axis=1)
     notes = []
     for sensor in (part for s in description.sensors for part in (s.sensors or [s])):
         if sensor.kind not in CAMERAS:

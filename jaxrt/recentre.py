@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from .files.view import scene_points
+from .files.view import used_vertices
 from .parts import Cylinder, Description, Goniometric, Instance, Mesh, Point, Projector, Sphere
 
 FAR = 16.0
@@ -17,9 +17,9 @@ COARSE = 4096.0
 """Steps of float32 to the size of a mesh, below which it is said that its vertices are as coarse as that."""
 
 
-def recentred(description: Description) -> tuple[Description, np.ndarray]:
-    """A description counted from an origin (3,) near its middle, in float64; that is 0 unless it is far from there."""
-    points = scene_points(description.shapes)
+def recentred(description: Description, points: np.ndarray) -> tuple[Description, np.ndarray]:
+    """A description counted from an origin (3,) near the middle of its points (N, 3), in float64; that is 0 unless
+    they are far from there."""
     low, high = points.min(0), points.max(0)
     middle, radius = 0.5 * (low + high), 0.5 * float(np.linalg.norm(high - low))
     if not np.linalg.norm(middle) > FAR * radius > 0:
@@ -57,7 +57,7 @@ def coarse(description: Description) -> list[str]:
     for shape in (*description.shapes, *members):
         if not isinstance(shape, Mesh):
             continue
-        v = shape.vertices[np.unique(shape.faces)]
+        v = used_vertices(shape)
         size, step = float(np.ptp(v, axis=0).max()), float(np.abs(v).max()) * 2.0**-23
         if size < COARSE * step and (v == v.astype(np.float32)).all():
             notes.append(

@@ -26,8 +26,8 @@ WITHOUT_FIGURE = "fuzz", "hard_cases"
 def test_quick(name, tmp_path):
     """In a copy, for results that are there already may be of the full mode."""
     shutil.copytree(ROOT / "experiments", tmp_path / "experiments", ignore=shutil.ignore_patterns("results"))
-    for name_of in ("scenes", "tests"):
-        (tmp_path / name_of).symlink_to(ROOT / name_of)
+    for shared in ("scenes", "tests"):
+        (tmp_path / shared).symlink_to(ROOT / shared)
     done = subprocess.run(
         [sys.executable, tmp_path / "experiments" / name / "run.py", "--quick"],
         env={**os.environ, "PYTHONPATH": str(ROOT)}, capture_output=True, text=True,

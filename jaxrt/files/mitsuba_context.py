@@ -11,7 +11,6 @@ import numpy as np
 from ..parts import SceneError
 from .mitsuba_values import Value
 from .mitsuba_xml import Document, Element, Reference
-from .reading import find
 
 T = TypeVar("T")
 
@@ -71,14 +70,7 @@ class Context:
 
     def file(self, element: Element) -> pathlib.Path:
         """The file named by `filename`, searched as Mitsuba does: from the main file, not from an included one."""
-        name = self.string(element, "filename")
-        try:
-            path = find(name, self.search)
-        except SceneError as refused:
-            element.fail(refused)
-        if not name or path is None or not path.is_file():
-            element.fail(f"no such file: {name[:80]!r}; check its filename, or give its folder by <path>")
-        return path
+        return element.node.locate(self.string(element, "filename"), self.search)
 
     # ----------------------------------------------------------------------------- nested objects
 

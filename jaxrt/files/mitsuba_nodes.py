@@ -8,14 +8,14 @@ import pathlib
 import re
 import xml.sax
 import xml.sax.handler
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any, NoReturn
 
 import defusedxml
 import defusedxml.sax
 
 from ..parts import SceneError
-from .reading import ELEMENT, read_bytes, take
+from .reading import ELEMENT, find, read_bytes, take
 
 OBJECTS = frozenset(
     "bsdf emitter field film integrator medium phase rfilter sampler scene sensor shape texture volume".split()
@@ -46,6 +46,20 @@ class Node:
 
     def fail(self, problem: object) -> NoReturn:
         raise SceneError(f"{self.label}: {problem}")
+
+    def find(self, name: str, search: Sequence[pathlib.Path]) -> pathlib.Path | None:
+        """The first regular file or folder of that name, which stands here, in the folders of `search`, or None."""
+        try:
+            return find(name, search)
+        except SceneError as refused:
+            self.fail(refused)
+
+    def locate(self, name: str, search: Sequence[pathlib.Path]) -> pathlib.Path:
+        """As `find`, a file that has to be there."""
+        found = self.find(name, search)
+        if not name or found is None or not found.is_file():
+            self.fail(f"no such file: {name[:80]!r}; check its filename, or give its folder by <path>")
+        return found
 
     def attribute(self, name: str) -> str:
         if name not in self.attributes:

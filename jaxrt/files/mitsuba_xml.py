@@ -146,7 +146,7 @@ class _Reader:
         elif tag in VALUES:
             for inner in self.below(node):
                 self.substitute(inner)
-            given = value(node, lambda name: self.locate(node, name, search))
+            given = value(node, lambda name: node.locate(name, search))
             parent.values[self.only_once(parent, node)] = given
             if given.note:
                 self.notes.append(f"{node.label}: {given.note}")
@@ -204,7 +204,7 @@ class _Reader:
         self.ids[id] = element
 
     def include(self, parent: Element, node: Node, search: list[pathlib.Path], depth: int) -> None:
-        path = self.locate(node, node.attributes["filename"], search)
+        path = node.locate(node.attributes["filename"], search)
         self.includes += 1
         if path.resolve() in self.open:
             node.fail(f"includes {path.name}, in which it stands itself; break the cycle")
@@ -226,24 +226,12 @@ class _Reader:
     def path(self, node: Node, parent: Element, search: list[pathlib.Path]) -> None:
         if parent.tag != "scene":
             node.fail("stands inside an object; move it to the top of the scene")
-        folder = self.find(node, node.attributes["value"], search)
+        folder = node.find(node.attributes["value"], search)
         if len(search) >= _MOST_PATHS:
             node.fail(f"is one of more than {_MOST_PATHS} folders; put their files together")
         if folder is None or not folder.is_dir():
             node.fail("no such folder; check its value")
         search.insert(0, folder)
-
-    def locate(self, node: Node, name: str, search: list[pathlib.Path]) -> pathlib.Path:
-        found = self.find(node, name, search)
-        if not name or found is None or not found.is_file():
-            node.fail(f"no such file: {name[:80]!r}; check its filename, or give its folder by <path>")
-        return found
-
-    def find(self, node: Node, name: str, search: list[pathlib.Path]) -> pathlib.Path | None:
-        try:
-            return find(name, search)
-        except SceneError as refused:
-            node.fail(refused)
 
     def below(self, node: Node) -> Iterable[Node]:
         """The elements inside a value: operations in a <transform>, nothing else."""

@@ -87,6 +87,13 @@ def complete(description: Description, *, light: bool = True, orient: bool = Fal
     return dataclasses.replace(description, shapes=shapes, sensors=sensors, enclosure=enclosure, notes=notes)
 
 
+def used_vertices(mesh: Mesh) -> np.ndarray:
+    """The vertices (N, 3) that faces use; others may be anywhere."""
+    used = np.zeros(len(mesh.vertices), bool)
+    used[mesh.faces] = True
+    return mesh.vertices[used]
+
+
 def scene_points(shapes: Iterable[Shape | Instance]) -> np.ndarray:
     """Points (N, 3) in the world whose convex hull holds all shapes; those of a group are found once."""
     groups: dict[int, np.ndarray] = {}
@@ -105,7 +112,7 @@ def world_points(shape: Shape) -> np.ndarray:
     """Points (N, 3) in the world whose convex hull holds the shape; of a mesh the vertices that faces use."""
     unit = lambda *z: np.array(list(itertools.product((-1.0, 1.0), (-1.0, 1.0), z)))
     if isinstance(shape, Mesh):
-        local = shape.vertices[np.unique(shape.faces)]
+        local = used_vertices(shape)
     elif isinstance(shape, Sphere):
         local = shape.center + shape.radius * unit(-1, 1)
     elif isinstance(shape, Cylinder):

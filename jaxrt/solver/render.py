@@ -107,8 +107,7 @@ def render(  # pyright: ignore[reportInconsistentOverload]  # options are those 
     sensors = [sensor] if isinstance(sensor, (int, np.integer)) else list(sensor)
     spp = scene.structure.asked().spp if spp is None else spp
     exact = goal is not None
-    job = _job(scene, spp, seed, sensors, exact, method, max_depth, rr_depth, plan, chunk, memory, sampler)
-    job = job._replace(watched=scene.structure if debug else None)
+    job = _job(scene, spp, seed, sensors, exact, method, max_depth, rr_depth, plan, chunk, memory, sampler, debug)
     names = checked(scene.structure.asked().aovs if aov is None else aov, job.views)
     with ThreadPoolExecutor(cores()) as pool:
         way = job.fixed(pool) if goal is None else job.approach(pool, goal, max_depth is None)
@@ -219,7 +218,7 @@ class _Job(NamedTuple):
     spp: int
     method: str
     sampler: str
-    watched: Structure | None = None  # names, where the first sample that is not finite is an error
+    watched: Structure | None  # names, where the first sample that is not finite is an error
 
     @property
     def paths(self) -> int:
@@ -236,9 +235,8 @@ class _Job(NamedTuple):
         if series is not None and field is None:
             depths = dataclasses.replace(depths, max_depth=np.int32(series.max_depth))
         depths = seen_by(view, depths)
-        workers = Workers(self.world, view, depths, field, pool, self.lanes[k], pixels, self.tones[k], self.sampler)
-        workers.watched = self.watched
-        return workers
+        lanes, tones = self.lanes[k], self.tones[k]
+        return Workers(self.world, view, depths, field, pool, lanes, pixels, tones, self.sampler, self.watched)
 
     def fixed(self, pool: Executor) -> Approach:
         """The method for so many samples a pixel."""
@@ -298,7 +296,7 @@ class _Job(NamedTuple):
 def _job(
     scene: Scene, spp: Any, seed: Any, sensors: list[int], exact: bool, method: str = "auto",
     max_depth: int | None = None, rr_depth: int | None = None, plan: Plan | None = None, chunk: int | None = None,
-    memory: float | None = None, sampler: str = "sobol",
+    memory: float | None = None, sampler: str = "sobol", debug: bool = False,
 ) -> _Job:  # fmt: skip
     if method not in ("auto", "path", "field"):
         raise SceneError(f"method: {method!r} is not known; give auto, path or field")
@@ -317,4 +315,5 @@ def _job(
     # Run-time numbers go in as arrays: paths of other sizes, depths and seeds use the same program.
     depths = path.Depths(np.int32(depths.max_depth), np.int32(depths.rr_depth), np.bool_(depths.hide_emitters))
     world, tables = prepared(scene, plan)
-    return _Job(world, tables, plan, views, tones, lanes, depths, np.asarray(seed_of(seed)), int(spp), method, sampler)
+    key, watched = np.asarray(seed_of(seed)), scene.structure if debug else None
+    return _Job(world, tables, plan, views, tones, lanes, depths, key, int(spp), method, sampler, watched)

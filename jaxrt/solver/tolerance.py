@@ -60,13 +60,14 @@ class Forecast(NamedTuple):
 
 class Pilot(NamedTuple):
     """What a picture begins with: a tally with as many samples for all pixels; the one to go on with, the samples of
-    each of its pixels in shares of the average, the error that it may be claimed to have, seconds that a sample took.
-    """
+    each of its pixels in shares of the average, the error that it may be claimed to have, what of that is there to
+    stay, and seconds that a sample took."""
 
     even: Tally
     tally: Tally
     each: np.ndarray
     claim: float
+    lasting: float
     rate: float
 
     @property
@@ -75,7 +76,7 @@ class Pilot(NamedTuple):
 
     def samples(self, error: float) -> float:
         """How many for each pixel, on average, bring the claim down to this error."""
-        return self.mean * max((self.claim / error) ** (2.0 / STEEP), 1.0) if error > 0 else np.inf
+        return self.mean * max((self.lasting / error) ** (2.0 / STEEP), 1.0) if error > 0 else np.inf
 
     def forecast(self, error: float) -> Forecast:
         return Forecast(error, (self.samples(error) - self.mean) * len(self.each) * self.rate)
@@ -83,7 +84,7 @@ class Pilot(NamedTuple):
     def claim_after(self, seconds: float, off: float = 0.0) -> float:
         """The error that samples of so many more seconds leave, with that of something else."""
         times = 1.0 + max(seconds, 0.0) / (self.rate * self.tally.samples)
-        return float(np.hypot(self.claim * times ** (-STEEP / 2), off))
+        return float(np.hypot(self.lasting * times ** (-STEEP / 2), off))
 
 
 def _shares(tally: Tally, apart: bool = True) -> np.ndarray:
@@ -95,14 +96,14 @@ def _claim(tally: Tally) -> float:
     return statistical(_shares(tally))[1]
 
 
-def _lasting(tally: Tally) -> float:
-    """What of the claim of few samples is there to stay, for forecasts: all sets say too little, but all alike; halves
-    say of each other too much where one sample is bright, and are believed as far as they scatter little."""
+def _claims(tally: Tally) -> tuple[float, float]:
+    """The claim of few samples, and what of it is there to stay, for forecasts: all sets say too little, but all alike;
+    halves say of each other too much where one sample is bright, and are believed as far as they scatter little."""
     (plain, above), (apart, more) = (statistical(_shares(tally, halves)) for halves in (False, True))
     if not 0 < plain < apart:
-        return above
+        return more, above
     scatter = np.log(more / apart) / 1.645
-    return float(above * (apart / plain) ** (BELIEVED**2 / (BELIEVED**2 + scatter**2)))
+    return more, float(above * (apart / plain) ** (BELIEVED**2 / (BELIEVED**2 + scatter**2)))
 
 
 def allotted(shares: np.ndarray) -> np.ndarray:
@@ -125,13 +126,13 @@ def pilot(workers: Workers, key: Any, goal: Goal) -> Pilot:
     _take(workers, even, np.full(workers.n, many))
     shares, rate = _shares(even), speed()
     if statistical(shares)[1] <= goal.error or goal.left < MORE * rate * even.samples:
-        return Pilot(even, even, np.ones(workers.n), _lasting(even), rate)
+        return Pilot(even, even, np.ones(workers.n), *_claims(even), rate)
     each = allotted(pooled(pooled(shares.reshape(workers.size[::-1]))).ravel())  # one pixel's four sets say little
     tally, began = workers.tally(key), time.perf_counter()
     _take(workers, tally, _rounded(tally, each * many))
     if many == PILOT and _claim(tally) > goal.error:
         _take(workers, tally, _rounded(tally, each * 2 * many))
-    return Pilot(even, tally, each, _lasting(tally), (time.perf_counter() - began) / tally.samples)
+    return Pilot(even, tally, each, *_claims(tally), (time.perf_counter() - began) / tally.samples)
 
 
 def reach(workers: Workers, goal: Goal, begun: Pilot, tell: Callable[[float], None] | None) -> Tally:
@@ -141,7 +142,7 @@ def reach(workers: Workers, goal: Goal, begun: Pilot, tell: Callable[[float], No
     """
     n, tally, rate, total = workers.n, begun.tally, begun.rate, begun.samples(goal.error)
     started, budget, before = time.perf_counter(), goal.left, tally.samples
-    claim = _claim(tally)
+    claim = begun.claim
     while claim > goal.error:
         mean, room = tally.samples / n, goal.left / (rate * n)
         if room < 1.0 or goal.left < 0.02 * budget:

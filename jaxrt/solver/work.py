@@ -102,14 +102,12 @@ class Workers:
     Sums do not depend on which thread was faster. `watched`: names, where a sum that is not finite is an error.
     """
 
-    watched: Structure | None = None
-
     def __init__(
         self, world: World, view: Picture, depths: path.Depths, field: Any, pool: Executor, lanes: int, pixels: int,
-        tones: np.ndarray | None, sampler: str = "sobol",
+        tones: np.ndarray | None, sampler: str = "sobol", watched: Structure | None = None,
     ) -> None:  # fmt: skip
         self.view, self.field, self.pool, self.lanes, self.pixels, self.tones = view, field, pool, lanes, pixels, tones
-        self.depths, self.args, self.sampler = depths, (world, view, depths), sampler
+        self.depths, self.args, self.sampler, self.watched = depths, (world, view, depths), sampler, watched
         self.size = int(view.width), int(view.height)
         self.n = self.size[0] * self.size[1]
         self.channels = world.plan.channels if tones is None else 1
